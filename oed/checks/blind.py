@@ -98,7 +98,6 @@ def _fits(exact: SessionReadings, trial: MistakeTrial, limit: float) -> bool:
 
 
 def _same(one: SessionReadings, other: SessionReadings) -> bool:
-    """Whether readings and poses are the same."""
     if len(one.series) != len(other.series) or not np.array_equal(one.y, other.y):
         return False
     pairs = zip(one.series, other.series, strict=True)

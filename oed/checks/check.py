@@ -206,7 +206,6 @@ class CheckedSession:
         )
 
     def _records(self, far: Sequence[FarReading]) -> list[OutlierRecord]:
-        """Readings by their place in the file."""
         records = []
         for one in far:
             row = self.session.values.iloc[one.value]
@@ -300,7 +299,6 @@ def _fit_findings(
     explanations: Sequence[Explanation],
     noise_is_a_guess: bool,
 ) -> list[CheckFinding]:
-    """Residuals too large or too small for the stated noise."""
     if explanations:
         return []
     if fitted is None or outliers is None:

@@ -101,11 +101,10 @@ def _taken_at_a_stop(series: Series, table: Array) -> bool:
 def _unlikely(
     session: SessionReadings, series: Series, span: slice, table: Array, pairs: int
 ) -> bool:
-    """Whether chance gives as many equal pairs as seldom as FALSE_ALARM.
+    """Whether chance gives as many equal pairs as seldom as COPY_FALSE_ALARM.
 
     Two values of a density f agree in a rounding step d with probability d times the
-    integral of f^2: over the spread of all for different runs, over that of a run for
-    different poses of it, and over the noise for repeated ones.
+    integral of f^2: over all runs, the poses of a run, or the noise of repeated ones.
     """
     n, channels = table.shape
     sigma = session.measurement.sigma(session.series)[span].reshape(n, channels)
@@ -131,7 +130,6 @@ def _unlikely(
 
 
 def _pairs(sizes: Index) -> float:
-    """Number of pairs in groups of some sizes."""
     return float(np.sum(sizes * (sizes - 1) / 2))
 
 

@@ -310,11 +310,9 @@ def explain(
 ) -> list[Explanation]:
     """Mistakes that explain the readings of a session, likeliest first.
 
-    solution     fit of the readings as given; None where they cannot be fitted
-    measurement  the machine with all set-ups of the study
-    thorough     whether mistakes are fitted that the linear model does not favour; not
-                 needed where a noise law explains the readings
-    of_noise     whether the stated noise alone may be mistaken, as where they fit too well
+    solution  fit of the readings as given; None where they cannot be fitted
+    thorough  whether mistakes are fitted that the linear model does not favour
+    of_noise  whether the stated noise alone may be mistaken, as where they fit too well
     """
     data = Suspect(dataclasses.replace(_sample(session), measurement=measurement))
     before = np.inf if solution is None else solution.ratio
@@ -395,11 +393,7 @@ def _improves(one: Explanation, count: int) -> bool:
 
 
 def _explains(one: Explanation) -> bool:
-    """Whether a mistake leaves no misfit, or less than half of it in orders of magnitude.
-
-    What remains then is the noise, or an effect. Where the readings as given have no fit,
-    half of nothing known is no measure.
-    """
+    """Whether a mistake leaves no misfit, or less than half its orders of magnitude."""
     before = one.before if np.isfinite(one.before) else 100.0
     return bool(
         np.isnan(one.after) or one.after <= max(MAX_EXPLAINED_RATIO, np.sqrt(before))
@@ -487,10 +481,8 @@ def _cost_of_amounts(fitted: Fit) -> float:
 def _log_of_poses_read(
     session: SessionReadings, sessions: Sequence[SessionReadings]
 ) -> float:
-    """Log of the densities' ratio where poses are what was read, as with a printer.
-
-    All readings of such a set-up are the same, and the noise is in its poses: in a
-    smaller unit, that of the poses which change is as much smaller.
+    """Log of the densities' ratio where poses are what was read, as with a printer:
+    their spread is the unit of the noise, and readings are all the same.
     """
     total = 0.0
     # machines apart have fewer series, of poses that do not change; none: no reading stays
@@ -533,7 +525,6 @@ def _drop_outliers(solution: Fit) -> tuple[Fit, float]:
 
 
 def _has_few_far(solution: Fit) -> bool:
-    """Whether a few residuals are far larger than the others."""
     sizes = np.abs(solution.residual)
     far = sizes > 4.5 * float(np.median(sizes)) / MEDIAN_SIZE
     return 0.0 < float(far.mean()) <= MAX_GROSS_SHARE

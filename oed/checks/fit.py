@@ -211,7 +211,6 @@ class _Problem:
         return self._sessions[key]
 
     def _theta(self, x: Array) -> Array:
-        """Parameters (n,)."""
         return self._measurement.nominal + self._root @ x[: self._count]
 
     def _difference(self, x: Array) -> Array:
@@ -247,7 +246,6 @@ class _Problem:
         return self._difference(x - move) - self._difference(x)
 
     def _fitted(self, minima: Minima) -> Fit | None:
-        """The fit at a solution."""
         x, residual, slopes = minima.z[0], minima.residual[0], minima.slopes[0]
         # the distance of a pose from itself has no slope
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
@@ -352,9 +350,7 @@ class Goodness:
 
 
 def goodness(solution: Fit) -> Goodness:
-    """Goodness of a fit, by a scaled chi-squared law of the right mean and variance.
-
-    The weights of chi2 are 1 / (1 + s^2) for singular values s of the slopes, and 1
+    """Goodness of a fit, by a scaled chi-squared law of the right mean and variance
     (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114).
     """
     return goodness_of(solution.chi2, solution.weights())

@@ -50,12 +50,7 @@ class Judgement:
 def judge(
     session: SessionReadings, suspects: Index, *, estimated: bool, robust: bool
 ) -> Judgement:
-    """Judge the readings of a session.
-
-    suspects   readings, by number, to leave out of the first fit
-    estimated  whether the noise law is estimated
-    robust     see `find_outliers`
-    """
+    """Judge readings, those of `suspects` (by number) left out of the first fit."""
     search = find_outliers(session, suspects, robust=robust)
     if search is None:
         return Judgement(None, None, sound=False, stated=False)
@@ -110,10 +105,7 @@ def _judgement(search: OutlierSearch, fitted: Goodness, p_strain: float) -> Judg
 def probability_of_strain(slopes: Array, residual: Array) -> float:
     """Probability that correct parameters leave their tolerances as far.
 
-    slopes, residual  (N, r) and (N,), whitened, about the nominal machine
-
-    The components of the residual along the slopes have the variances 1 + s^2, s the
-    singular values.
+    Of whitened slopes (N, r) with singular values s, components vary by 1 + s^2.
     """
     directions, singular, _ = linalg.svd(slopes, full_matrices=False)
     scaled = (directions.T @ residual) / np.hypot(1.0, singular)
@@ -173,10 +165,8 @@ def goodness_of_delivered(
 def _probabilities_under(
     law: CheckedLaw, model: ResidualModel
 ) -> tuple[float, float, float]:
-    """Probabilities of less and of more under a law, and that of its strain.
-
-    Too large are residuals that are so for the largest scale which a stated one is good
-    for, too small those for the least.
+    """Probabilities of less and of more, and that of strain, under a law of the
+    largest or the least scale that a stated one is good for.
     """
     stated, p_stated = _scaled_probabilities(law, model, 1.0)
     large, p_large = _scaled_probabilities(law, model, KNOWN_TO)

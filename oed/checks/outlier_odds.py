@@ -158,10 +158,8 @@ def measure(
 def alike_readings(
     session: SessionReadings, far: Sequence[FarReading]
 ) -> tuple[int, ...]:
-    """Far readings, by number, to which one thing happens: they are no single errors.
-
-    Neighbours of a run that are off the same way, or all of one sign where signs are not
-    random. One that is far beyond the others may be a single error as well.
+    """Far readings, by number, to which one thing happens: neighbours of a run off the
+    same way, or all of one sign, but one far beyond the others.
     """
     groups = [_one_signed(far), *_neighbours(session, far)]
     alike: set[int] = set()

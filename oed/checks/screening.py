@@ -182,11 +182,8 @@ def scales_of_noise(residual: Array) -> Array:
 def log_density_by_scale(
     values: Array, squares: Array, energy: Array, scales: Array
 ) -> Array:
-    """Log density (..., S) of residuals for scales s of the noise, but for N log s.
-
-    values   (..., r) eigenvalues of H^T H
-    squares  (..., r) squared components of H^T r
-    energy   (...,) r^T r
+    """Log density (..., S) of residuals for scales, but for N log s, from eigenvalues
+    of H^T H and squared components of H^T r (..., r), and r^T r (...,).
     """
     variances = scales**-2.0
     gain, log_determinant = explained_energy(values, squares, variances)

@@ -215,7 +215,6 @@ def _extent(tables: Sequence[ReadingsFile]) -> tuple[float, float]:
 
 
 def _distinct_runs(frame: pd.DataFrame) -> set[tuple[str, str]]:
-    """Set-up and run of the rows."""
     distinct = frame[["setup", "run"]].drop_duplicates()
     return set(zip(distinct["setup"], distinct["run"], strict=True))
 

@@ -198,7 +198,6 @@ class Dataset:
         )
 
     def _sizes(self) -> list[int]:
-        """Number of values of each series."""
         return [len(s) * len(self.layouts[s.setup].channels) for s in self.series]
 
 

@@ -130,11 +130,9 @@ class _Tree:
         return BranchResult(best.astype(np.intp), value, bound, visited)
 
     def value(self, chosen: Index) -> float:
-        """log phi of a plan."""
         return self.criterion.value(self.base + information(self.blocks[chosen]))
 
     def _missing(self, node: _Node) -> int:
-        """Readings still to choose."""
         return self.size - len(node.taken)
 
     def _bound(self, node: _Node, value: float) -> tuple[float, Array, Index]:

@@ -299,7 +299,6 @@ class _ConicProblem:
         self.turn: Array = np.linalg.inv(np.linalg.cholesky(typical))
 
     def weights(self) -> Any:
-        """The variable of the weights."""
         return cp.Variable(len(self.blocks), nonneg=True)
 
     def matrix(self, weights: Any, turn: Array, scale: Any = 1.0) -> Any:
@@ -323,7 +322,6 @@ class _ConicProblem:
         return constraints
 
     def information(self, weights: Array) -> Array:
-        """M (n, n)."""
         return self.base + information(self.blocks, weights)
 
     def base_term(self, root: Array) -> float:

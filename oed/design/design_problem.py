@@ -192,14 +192,11 @@ def choose_by_weights(
     solver: Solver = "built_in",
     tolerance: float = 1e-6,
 ) -> Weights:
-    """Weights of whitened, scaled rows (C, n) or blocks (C, k, n), and a plan.
+    """Weights of rows (C, n) or blocks (C, k, n), and a plan of `size` readings.
 
-    size       number of readings
-    prior      (n, n) prior information
     tolerance  singular values above this share of the largest count as estimable
 
-    Raises ValueError where no `size` readings determine what the criterion needs, and
-    where those of largest weight do not: an exchange may find some.
+    Raises ValueError where the plan leaves undetermined what the criterion needs.
     """
     columns = block_array(rows).shape[2]
     rules = Rules(size=size)

@@ -215,7 +215,6 @@ def choose(
 
 
 def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice:
-    """The choice of a plan with this log phi, still without a bound."""
     return Choice(
         indices=np.sort(best),
         criterion=problem.criterion.name,

@@ -72,10 +72,8 @@ def select_greedily(
     level: int = -1,
     weights: Array | None = None,
 ) -> Index:
-    """Candidates added one by one, each the one that raises the criterion most.
-
-    The ridge stands in for directions that the plan does not determine yet. Weights
-    (C,) of a relaxation divide the plan among the classes of quotas.
+    """Candidates added one by one, each by the criterion, with a ridge for what the
+    plan does not determine yet, shared among quotas by weights (C,).
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels

@@ -45,10 +45,8 @@ NUMBERS_AT_ONCE = 2_000_000
 def exchange_pairs(
     blocks: Array, chosen: Index, base: Array, criterion: Criterion, exchanges: int
 ) -> Index:
-    """The best pair of blocks (C, k, n) exchanged until none raises the criterion.
-
-    base (n, n) is positive definite prior information, a small ridge at the least. At
-    most so many exchanges are made.
+    """The best pair of blocks (C, k, n) exchanged until none raises the criterion, for
+    a base (n, n) that is positive definite.
     """
     chosen = chosen.copy()
     m = base + information(blocks[chosen])

@@ -295,7 +295,6 @@ class _EffectGroup:
     unit: float = 1.0
 
     def scaled(self, unit: float) -> _EffectGroup:
-        """The group with its coefficients in another unit."""
         return dataclasses.replace(self, unit=unit)
 
     @property

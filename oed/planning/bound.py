@@ -339,12 +339,8 @@ def bound_uncaptured(
     combinations: Index,
     rng: np.random.Generator,
 ) -> Array:
-    """Goal value (T,) at the least of each combination (T, stages) of options.
-
-    It is estimated from drawn machines and lowered by four standard errors. It is next
-    to 0 where every machine is captured.
-
-    information  (n, n) about the machine before
+    """Goal value (T,) at the least of combinations (T, stages) of options, from drawn
+    machines less four standard errors.
     """
     root = precision_root(information)
     errors = rng.standard_normal((MACHINES_DRAWN, len(information))) @ root.T
@@ -368,10 +364,7 @@ def bound_uncaptured(
 def _uncaptured(
     options: Sequence[Option], errors: Array, rng: np.random.Generator
 ) -> Mask:
-    """Which machines no candidate of an option captures: (options + 1, machines).
-
-    The last row stands for "no option" and excludes no machine.
-    """
+    """Machines that no candidate of an option captures: (options + 1, machines)."""
     uncaptured = np.zeros((len(options) + 1, len(errors)), dtype=bool)
     uncaptured[-1] = True
     for k, option in enumerate(options):

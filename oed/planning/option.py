@@ -121,7 +121,6 @@ class Option:
 
     @cached_property
     def _channels(self) -> Index:
-        """Number of channels of each reading."""
         setups = self.measurement.setups
         counts = [np.full(len(s), len(setups[s.setup].sigma)) for s in self.series]
         return np.concatenate(counts)

@@ -288,7 +288,6 @@ class DrawnMachines:
 
 
 def _inverses(matrices: Array) -> Array:
-    """Inverses of symmetric matrices (K, n, n), made exactly symmetric."""
     inverted = np.linalg.inv(matrices)
     return np.asarray(0.5 * (inverted + np.swapaxes(inverted, 1, 2)))
 

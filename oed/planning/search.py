@@ -121,11 +121,7 @@ def _stages_of(reference: StagePlan | None, steps: Sequence[Step]) -> list[PlanS
 def _reading_time(
     seconds: float, steps: Sequence[Step], later: Sequence[PlanStage]
 ) -> float:
-    """Time (s) for the readings of the first step, out of `seconds` for all steps.
-
-    The others take at least their shortest readings, and usually the time for a reading
-    that they take in the `later` stages of a reference plan.
-    """
+    """Time (s) for the first step's readings, beside those of the others."""
     (option, count), others = steps[0], steps[1:]
     available = seconds - option.mounting_seconds
     usual = []

@@ -137,7 +137,6 @@ def prepare_stages(stages: Sequence[PlanStage]) -> tuple[VirtualStage, ...]:
 
 
 def _channels(stage: PlanStage) -> Index:
-    """Number of channels of each planned reading."""
     setups = stage.option.measurement.setups
     counts = [np.full(len(s), len(setups[s.setup].sigma)) for s in stage.series]
     return np.concatenate(counts)

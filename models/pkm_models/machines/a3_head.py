@@ -69,7 +69,6 @@ def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
 
 
 def _hinge_axis(i: int) -> tuple[float, float, float]:
-    """Axis s1 of limb i's revolute joint."""
     return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
 
 

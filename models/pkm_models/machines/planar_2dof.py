@@ -37,7 +37,6 @@ TILT_SD = 0.3e-3  # rad
 
 
 def _slider(i: int, q: Values, p: Values) -> Expr:
-    """Slider joint (3,) in the base frame."""
     travel = q[f"q{i}"] + p[f"z{i}"]
     tilt = p[f"beta{i}"]
     return ca.vertcat(

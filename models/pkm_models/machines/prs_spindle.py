@@ -91,7 +91,6 @@ def plane_distance(x: Values, q: Values, p: Values, i: int) -> Expr:
 
 
 def _hinge_axis(i: int) -> tuple[float, float, float]:
-    """Axis s_i of the hinge on slider i."""
     return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
 
 

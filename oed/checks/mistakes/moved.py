@@ -45,11 +45,7 @@ def moved_trials(
     seldom: float = 0.0,
     scopes: Sequence[Scope] | None = None,
 ) -> Iterator[MistakeTrial]:
-    """Readings taken at moved poses, in the file, each set-up and run, or some scopes.
-
-    sentence  in which `{of}` or `{within}` is the scope
-    seldom    log prior in part of a file
-    """
+    """Readings taken at moved poses, in the file, its parts, or some scopes."""
     some = data.scopes if scopes is None else scopes
 
     def text(scope: Scope, amounts: Array, sd: Array) -> str:
@@ -242,8 +238,7 @@ def commanded(
     """Change the commands (n, n_dof) of a series that recorded them.
 
     rows   `file` for those in the file's rows, `teach` for the teach pose, `all`
-    slack  share of a coordinate's range by which it may be exceeded; commands outside
-           the workspace were never given, but a machine may have stood there
+    slack  share of a range by which a machine may have stood outside the workspace
     """
     machine = measurement.machine
 

@@ -229,10 +229,8 @@ def program(
     *,
     keeps_length: bool = False,
 ) -> Moved:
-    """Series with one coordinate displaced by an amount, SI, and another that follows.
-
-    The nominal machine reads the same as at the commands of the file, or the length that
-    the instrument keeps.
+    """Series with one coordinate displaced, SI, and another that follows, so that the
+    nominal machine reads the same, or the length that the instrument keeps.
     """
 
     def moved(series: Series) -> Series | None:

@@ -147,7 +147,6 @@ def _sexagesimal(
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:
-    """Factors to SI of the units of a kind, by name."""
     factors = {
         name: factor for name, (unit, factor) in units.UNITS.items() if unit == si
     }

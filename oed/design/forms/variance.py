@@ -134,10 +134,7 @@ def _spread(factor: Array, columns: Index, total: int) -> Array:
 
 
 def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array:
-    """tr((1 + X P X^T)^-1 X T X^T) (C,) for P `inverted` and T `weighted` (n, n).
-
-    With P = M^-1 and T = M^-1 W M^-1: how much each block lowers tr(W M^-1).
-    """
+    """tr((1 + X P X^T)^-1 X T X^T) (C,), by which blocks lower tr(W M^-1)."""
     if blocks.shape[1] == 1:
         rows = blocks[:, 0]
         leverage = quadratic_forms(rows, inverted)

@@ -142,16 +142,12 @@ def pool_runs(
     wanted: Sequence[Effect],
     rivals: Sequence[Effect] = (),
 ) -> Separation:
-    """The separation of effects by candidate runs, as a function of their weights.
+    """The separation of `wanted` effects from each other and from the rivals by
+    candidate runs, as a function of their weights.
 
-    problem    holds all candidates (`problem_of_runs`)
-    rows       (C,) readings of each run
-    wanted     effects that are separated from each other and from the rivals
-    rivals     further effects
+    rows  (C,) readings of each run
 
-    Of each wanted effect the coefficients of all legs alike, and each alone, are
-    separated from each form of a rival. Its own constants are the middle ones of its
-    grid. Raises ValueError for effects that no candidate can test.
+    Raises ValueError for effects that no candidate can test.
     """
     effects = list({e.name: e for e in (*wanted, *rivals)}.values())
     forms = effect_forms(problem, effects, most=6)
@@ -197,11 +193,8 @@ def separation(
 
 
 def _convenient_coordinates(whole: Array, n: int) -> tuple[Array, float]:
-    """Change (m, m) to coordinates in which rounding does little harm.
-
-    In these all rows (., m) together have unit information on the n parameters, and
-    what the parameters can absorb of the effects is taken out. The second result is the
-    log determinant that the parameters' information loses.
+    """Change (m, m) to coordinates of unit information, less what n parameters absorb,
+    and the log determinant that their information loses.
     """
     count = whole.shape[1] - n
     root = np.linalg.qr(whole[:, :n], mode="r")

@@ -246,10 +246,8 @@ def _largest_cosine(blocks: Array, least: float) -> float:
 
 
 def effect_rival(effect: RemainingForms, rival: RemainingForms) -> RivalRecord:
-    """How well an effect is distinguished from a rival at its most absorbing constants.
-
-    The separation is a mean over the effect's forms, the angle the smallest of all.
-    Combinations are those of the form that is absorbed most.
+    """How well an effect is distinguished from a rival at its most absorbing constants:
+    by mean separation and smallest angle.
     """
     remaining = effect.traces_left_by(rival)
     least = remaining.min(axis=1)
@@ -284,11 +282,7 @@ def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Arra
 
 
 def _visible_root(gram: Array) -> Array:
-    """R (k, r) with R^T A R = 1 over the directions of a Gram matrix that can be seen.
-
-    These have the energy of the noise at a prior standard deviation, or a hundredth of
-    the largest.
-    """
+    """R (k, r) with R^T A R = 1 over directions of a Gram matrix that can be seen."""
     return inverse_root(gram, _least_seen)
 
 
@@ -537,7 +531,6 @@ def _median_rms(
 
 
 def _quadratic(matrix: Array, draws: Array) -> Array:
-    """Quadratic forms (d,) of draws (k, d)."""
     forms = np.einsum("kd,kl,ld->d", draws, matrix, draws)
     return np.asarray(np.maximum(forms, 0.0))
 
@@ -570,5 +563,4 @@ def _least_sizes(
 
 
 def _bounded(size: float) -> float | None:
-    """A size; None where no reading could bound it."""
     return size if size < 1e6 else None

@@ -49,11 +49,8 @@ def candidate_runs(
     further_values: Mapping[str, Sequence[float]] | None = None,
     further_runs: Sequence[Run] = (),
 ) -> list[Run]:
-    """Each path of a problem under each condition; those of recorded joints are none.
-
-    further_values  feeds and payloads that are possible beside those of the readings
-    further_runs    runs that are possible beside the paths; those under conditions that
-                    the readings do not state, or in other set-ups, are none
+    """Paths of a problem that recorded commands, under each condition and further
+    values, and the further runs under known conditions and set-ups.
     """
     table = problem.covariates.reset_index(drop=True)
     clock = {}
@@ -212,10 +209,8 @@ def expected_probability(
     to_come: Sequence[Array],
     rng: np.random.Generator,
 ) -> float:
-    """Expected probability that the likeliest answer is right after the readings to come.
-
-    taken, to_come  for each explanation [H, G_k] (N, m) and (n, m), whitened
-    residual        (N,) readings taken, whitened
+    """Expected probability that the likeliest answer is right after readings to come,
+    by [H, G_k] (N, m) of both visits and a residual (N,), whitened.
     """
     probability = np.array([e.probability for e in explanations])
     from scipy import stats  # takes half a second to import

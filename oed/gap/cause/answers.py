@@ -99,7 +99,6 @@ def is_sure(answers: Sequence[AnswerRecord]) -> bool:
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
-    """The covariates without which effects could not be tested."""
     missing = set()
     for reason in not_testable.values():
         if reason.startswith(LACKING):
@@ -230,7 +229,6 @@ def _distinction(
 
 
 def _tests(effects: Sequence[str], by_name: Mapping[str, Effect]) -> list[str]:
-    """Measurements that expose some effects."""
     tests = [by_name[effect].exposed_by for effect in effects if effect in by_name]
     return [test for test in tests if test]
 

@@ -101,7 +101,6 @@ class Paths:
         return [np.flatnonzero(label == k).tolist() for k in range(groups)]
 
     def _rows(self, runs: Sequence[int]) -> Index:
-        """Readings of some runs."""
         return np.concatenate([self._runs[k] for k in runs])
 
     def _link(self, runs: list[int], near: sparse.lil_matrix) -> None:

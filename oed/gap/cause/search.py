@@ -176,7 +176,6 @@ class FormProducts:
         return self._grams_of(self._needed)
 
     def _grams_of(self, columns: Index) -> Grams:
-        """Grams of some columns of the effects."""
         library = self._library.columns
         return evidence.grams_of(self._problem, self.metric, library, columns)
 

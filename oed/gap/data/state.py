@@ -241,11 +241,8 @@ def _sense(moved: Array) -> Array:
 def _since_reversal(
     path: scipy.interpolate.CubicSpline, length: Array, arrival: Array, closed: bool
 ) -> Array:
-    """Distance (k, nq) since the path last turned back, before it arrives at k poses.
-
-    arrival  (k,) lengths of path up to which a turn counts
-
-    Before an open run's first turn it is infinite.
+    """Distance (k, nq) since the path last turned back, before arrivals (k,); infinite
+    before an open run's first turn.
     """
     q = path(length[: len(arrival)])
     distance = np.full(q.shape, np.inf)

@@ -204,7 +204,6 @@ def tripod_start(c: Values, p: Values) -> list[Expr]:
 
 
 def _centre(p: Values, stem: str) -> Expr:
-    """Mean (3,) of a tripod's points."""
     points = [point(p, stem, i) for i in (1, 2, 3)]
     return sum(points[1:], points[0]) / 3.0
 
