@@ -138,12 +138,7 @@ def fit_amounts(trial: MistakeTrial, scale: float) -> Fit | None:
 def _fit_scale(
     at_scale: Callable[[float, Fit | None], Fit | None], scale: float
 ) -> Fit | None:
-    """A fit with the noise as large as what remains, or with the stated one where little
-    remains then.
-
-    at_scale  fits with a factor on the noise, from where another fit ended
-    scale     guess of what remains, over the stated noise
-    """
+    """A fit with noise as large as what remains, about `scale`, or the stated one."""
     fitted = at_scale(max(scale, 1.0), None)
     for _ in range(4):
         if fitted is None:

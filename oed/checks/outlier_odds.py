@@ -400,10 +400,8 @@ class OutlierOdds:
 
     # -- which reading it is -----------------------------------------------------------
     def of_location(self, members: Sequence[int]) -> dict[int, float]:
-        """Log odds of each suspected reading over all sets of readings without it.
-
-        All sets of up to MOST readings compete; beside more suspects, the sets in which
-        one of them is exchanged for another reading.
+        """Log odds of each suspect over all sets, of up to MOST or exchanged by
+        one, without it.
         """
         if len(members) > MAX_SET:
             return {one: self._exchange_odds(members, one) for one in members}

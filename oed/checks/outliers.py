@@ -54,12 +54,7 @@ class FarSearch:
 def far_readings(
     session: SessionReadings, suspects: Index, most: int, *, robust: bool
 ) -> FarSearch | None:
-    """The forward search, and the fit of what it leaves; None where there is no fit.
-
-    suspects  readings, by number, to leave out of the first fit
-    most      number of readings that can be outliers
-    robust    whether deviations count in units of their own scatter
-    """
+    """The forward search from suspects left out, for `most` outliers, and its fit."""
     readings = sorted({int(k) for k in suspects})
     solution = fit(session.without(readings))
     for _ in range(5):

@@ -358,10 +358,7 @@ def _log_marginal(
     scales: Array,
     most: float = GUESS_RATIO,
 ) -> float:
-    """Log density over the unit, by laws of every scale.
-
-    most  error of a run over the stated noise: beyond that is a mistake, and no noise
-    """
+    """Log density over the unit, by laws of all scales, runs' errors up to `most`."""
     whitening = laws.whitening(linear.structure)
     gram = whitening.gram(np.column_stack([linear.residual, slopes]))
     values, vectors = np.linalg.eigh(gram[:, 1:, 1:])

@@ -47,11 +47,7 @@ Combination = tuple[int, ...]
 def rank_combinations(
     blocks: Array, criterion: Criterion, base: Array, rules: Rules, setups: SetupLimit
 ) -> list[Combination]:
-    """Promising combinations of at most `setups.most` set-ups, the best first.
-
-    `setups` stands for the set-ups of the rules. All combinations are ranked where they
-    are few (`MAX_COMBINATIONS`). Mounted set-ups belong to each.
-    """
+    """Combinations of at most `setups.most` and mounted set-ups, the best first."""
     names = [int(name) for name in setups.mountable]
     most = setups.most_of(len(names))
     values = _CombinationValues(blocks, criterion, base, rules, setups)

@@ -40,11 +40,7 @@ LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in l
 
 
 def knapsack_value(gradient: Array, size: float, cap: Array | float) -> float:
-    """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum_i w_i = size.
-
-    The fractional knapsack: the best candidates are filled to their caps. gradient (C,);
-    cap (C,), or one number for all.
-    """
+    """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum_i w_i = size, best first."""
     if np.ndim(cap):
         caps = np.asarray(cap, dtype=float)
         order = np.argsort(-gradient, kind="stable")

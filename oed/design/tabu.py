@@ -89,12 +89,7 @@ def search_plans(
     steps: int,
     rng: np.random.Generator,
 ) -> Index:
-    """The best plan (size,) that the plans `starts` (plans, size) pass in their steps.
-
-    blocks  (C, k, n)
-    base    (n, n) positive definite prior information, a small ridge at the least
-    steps   of all plans together
-    """
+    """The best plan (size,) that starts (plans, size) pass in `steps` of all."""
     copies = find_copies(blocks)
     problem = _TabuProblem(blocks[copies.first], base, criterion, copies.number)
     rests = itertools.cycle(MAX_RESTS)

@@ -218,10 +218,7 @@ class OptionBound:
         return np.asarray(np.sum(moved**2, axis=(1, 2)))
 
     def worth(self, gain: Array, prices: Array) -> Array:
-        """Largest total (P,) of gains (C,) minus the price of time, at each price (P,).
-
-        At most `limit` candidates contribute.
-        """
+        """Largest total (P,) of `limit` gains (C,) less the price of time (P,)."""
         net = np.maximum(gain - prices[:, None] * self.cost, 0.0)
         if self.limit < net.shape[1]:
             net = np.partition(net, -self.limit, axis=1)[:, -self.limit :]

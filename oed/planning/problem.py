@@ -314,11 +314,7 @@ class PlanProblem:
         probability: Array,
         seconds: float = np.inf,
     ) -> StagePlan:
-        """A plan with `count` readings of one more option, predicted with few machines.
-
-        probability  (C,) that each candidate is captured after the plan
-        seconds      time for the readings at most
-        """
+        """A plan with `count` readings of one more option, by few machines."""
         prior = plan.posterior(self.start)
         chosen = select_readings(
             option,
@@ -342,11 +338,7 @@ class PlanProblem:
         *,
         verifies: bool = False,
     ) -> PlanStage:
-        """The stage after `plan`, by the exact model; once for equal readings.
-
-        probability  (C,) that each candidate of the option is captured after the plan
-        verifies     whether this judges a finished plan, by more machines and others
-        """
+        """The stage after `plan`, once for equal readings; more if it `verifies`."""
         draws, stream = MACHINE_DRAWS, self.streams.refinement
         if verifies:
             draws, stream = VERIFICATION_DRAWS, self.streams.verification

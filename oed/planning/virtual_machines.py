@@ -406,10 +406,7 @@ class WorkspaceErrors:
         return machines
 
     def errors(self, controller: Array, believed: Array, truth: Array) -> Array:
-        """Exact pose errors (m, n, K), SI, between true and believed machines.
-
-        Both are at the joints that a controller with parameters (m, np) sends.
-        """
+        """Pose errors (m, n, K), SI, of true from believed machines."""
         poses = self._poses(self.model, controller, believed, truth)
         at_home = self._poses(self.home, controller, believed, truth)
         lever = self.kinematics.machine.alignment_lever

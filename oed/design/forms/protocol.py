@@ -169,11 +169,7 @@ class Criterion(abc.ABC):
 
 
 def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:
-    """tr(A_i P A_j Q) (C, C) with A_i = X_i^T X_i.
-
-    P `first` and Q `second` (n, n) are symmetric. Rows of zeros, which fill blocks of
-    fewer rows up, cost no time.
-    """
+    """tr(A_i P A_j Q) (C, C), A_i = X_i^T X_i, P, Q symmetric, no zero rows."""
     count, k, _ = blocks.shape
     is_row = np.asarray(blocks.any(axis=2))
     is_row[:, 0] = True  # each block has a row where its sum begins

@@ -324,10 +324,7 @@ def indistinguishable(
 ) -> tuple[list[list[str]], list[list[str]]]:
     """Connected groups of visible effects, and pairs (k, j) of k absorbed by j.
 
-    separation    (K, K) sqrt(lambda_k|j), sqrt(lambda_k) on the diagonal
-
-    A rival counts where it absorbs half of lambda_k at least: what is hardly seen is
-    near every rival.
+    separation (K, K) sqrt(lambda_k|j), sqrt(lambda_k) on the diagonal; half is lost
     """
     detectability = np.diag(separation)[:, None]
     least = np.minimum(MIN_SEPARATION, np.sqrt(RIVAL_SHARE) * detectability)

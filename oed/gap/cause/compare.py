@@ -54,10 +54,8 @@ SearchOf = Callable[[GapProblem], list[Search]]
 
 
 def compare(searches: Sequence[Search]) -> list[Hypothesis]:
-    """Hypotheses with their evidence over all laws, by log posterior, best first.
-
-    Each is in the form and law that suit it best. The effective number of laws is that of
-    importance sampling, (sum of shares)^2 / sum of squared shares (Kong 1992).
+    """Hypotheses with their evidence over all laws, best first, in their best forms;
+    the effective number of laws is importance sampling's (Kong 1992).
     """
     by_key: dict[Key, list[Hypothesis]] = {}
     for number, search in enumerate(searches):

@@ -196,10 +196,8 @@ def _lay_path(
 def _since_corner(
     reversal: Array, sense: Array, q: Array, along: Motion, corner: int
 ) -> Array:
-    """Distances (k, nq) since a joint last turned, where that was at or before a corner.
-
-    The corner is the first of the poses q (k, nq); `reversal` is infinite before a
-    path's first turn.
+    """Distances (k, nq) since a joint last turned, from the corner before q (k, nq)
+    where `reversal` is infinite.
     """
     gone = np.abs(q - q[:1])
     onward = sense == along.sense[corner]
