@@ -30,7 +30,7 @@ from oed.model import (
     Start,
     Values,
 )
-from pkm_models.machines.parts import coordinates, families, legs, passive, six_dof
+from pkm_models.machines.parts import families, legs, passive, six_dof, translation
 from pkm_models.machines.parts.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
@@ -43,11 +43,7 @@ DIMENSIONS = (
     ),
     Dimension("pivot", "m", (3,), (0.0, 0.0, 0.0), "the universal joint's centre"),
     Dimension("first_axis", "rad", (), 0.0, "direction of the joint's base axis"),
-    *(
-        d
-        for d in legs.ranges_dimensions((0.0, 0.0, -1.200), 0.250, 0.0)
-        if d.name != "tilt"
-    ),
+    *translation.ranges_dimensions((0.0, 0.0, -1.200), 0.250),
 )
 
 
@@ -143,14 +139,13 @@ def build(geometry: Geometry) -> Machine:
     if abs(home[2] - centre[2]) <= reach:
         raise ValueError("the workspace reaches the pivot: move home, or reduce reach")
     up = 1.0 if centre[2] > home[2] else -1.0
-    ranges = zip(XYZ, home.tolist(), strict=True)
     return six_dof.driven(
         XYZ,
         name=NAME,
         source="Siciliano 1999, Robotica 17, 437-445: the Tricept robot",
         about="tripod with a passive leg (3-UPS + UP): x, y, z driven, the tilt follows",
         joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
-        command=tuple(coordinates.point(n, v - reach, v + reach) for n, v in ranges),
+        command=translation.command(home, reach),
         parameters=(
             *limbs.parameters(),
             *passive_parameters(centre.tolist(), limbs.tolerance),

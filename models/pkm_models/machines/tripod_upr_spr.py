@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.model import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.machines.parts import coordinates, families, legs, six_dof
+from pkm_models.machines.parts import families, legs, six_dof, translation
 from pkm_models.machines.parts.families import XYZ, Geometry
 from pkm_models.rotation import across
 
@@ -37,11 +37,7 @@ OFF_LINE = 1e-6  #: share of the size by which points on one line may be off it
 DIMENSIONS = (
     Dimension("base", "m", (3, 3), BASE, legs.BASE),
     Dimension("platform", "m", (3, 3), PLATFORM, legs.PLATFORM),
-    *(
-        d
-        for d in legs.ranges_dimensions((0.0, 0.0, -1.300), 0.250, 0.0)
-        if d.name != "tilt"
-    ),
+    *translation.ranges_dimensions((0.0, 0.0, -1.300), 0.250),
 )
 
 
@@ -97,14 +93,13 @@ def build(geometry: Geometry) -> Machine:
     _refuse_what_locks(limbs.base, limbs.platform)
     if np.abs(home[2] - limbs.base[:, 2]).min() <= reach:
         raise ValueError("the workspace reaches the base: move home, or reduce reach")
-    ranges = zip(XYZ, home.tolist(), strict=True)
     return six_dof.driven(
         XYZ,
         name=NAME,
         source="Lopez-Custodio and others 2020, J. Mechanisms and Robotics 12, 021109",
         about="tripod 2-UPR + SPR (Exechon): x, y, z driven, the tilt follows",
         joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
-        command=tuple(coordinates.point(n, v - reach, v + reach) for n, v in ranges),
+        command=translation.command(home, reach),
         parameters=(
             *limbs.parameters(),
             *legs.hinge_parameters(),
