@@ -13,8 +13,6 @@ l_k the eigenvalues of X^T X in units of P. As t grows, v falls to a floor: rest
 no reading determines.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -177,7 +175,7 @@ class RecordedCase:
         reference: Reference,
         rng: np.random.Generator,
         information: Array,
-    ) -> RecordedCase:
+    ) -> "RecordedCase":
         """The readings of a problem, and their effects over a workspace.
 
         command      (n, n_dof) of the workspace, SI
@@ -244,7 +242,7 @@ class RecordedCase:
         return mean_after_once(self.predict(recorded))
 
     def reached_with(
-        self, warm: RecordedCase, hidden: Mask, effect: str, bodies: Sequence[str]
+        self, warm: "RecordedCase", hidden: Mask, effect: str, bodies: Sequence[str]
     ) -> Array:
         """The same with thermometers on bodies, of which an effect is hidden (k,) here.
 

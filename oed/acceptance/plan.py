@@ -24,8 +24,6 @@ The standard asks for five approaches a direction along one axis; the caller sta
 many there were.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -113,7 +111,7 @@ class Promise:
         false_alarm: float = 0.05,
         power: float = 0.9,
         most: int = 12,
-    ) -> AcceptancePlan:
+    ) -> "AcceptancePlan":
         """The fewest poses of the candidates that reach the power, or the best `most`.
 
         candidates  numbers of the workspace poses that may be measured
@@ -148,7 +146,7 @@ class Promise:
         *,
         miss: float = 1.2,
         false_alarm: float = 0.05,
-    ) -> AcceptancePlan:
+    ) -> "AcceptancePlan":
         """Limits and power of poses, on machines that had no part in choosing them."""
         good = _statistics(self, poses, 1.0, rng)
         bad = _statistics(self, poses, miss, rng)

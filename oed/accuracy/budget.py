@@ -14,8 +14,6 @@ eigenvalue g it is 1 / (1 + g)^2: readings that tell less than the drawing, g < 
 that combination undetermined.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
@@ -301,7 +299,7 @@ class BudgetModel:
         *,
         estimated: Array | None = None,
         predicted: Array | None = None,
-    ) -> Budget:
+    ) -> "Budget":
         """The budget of errors `maps.raw` (n, k, p) @ delta.
 
         estimated  covariance (p, p), SI, of the estimate, where the noise was integrated
@@ -335,7 +333,7 @@ class BudgetModel:
         *,
         laws: Laws | None = None,
         coefficients: int = 0,
-    ) -> BudgetModel:
+    ) -> "BudgetModel":
         """The model of readings linearised at theta (n,), SI.
 
         laws          noise law, the first of which counts; as stated by default

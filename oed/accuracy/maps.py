@@ -8,8 +8,6 @@ The linear maps state them against a reference:
 "best_fit"  after the best rigid alignment of all workspace poses
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal, get_args
@@ -58,7 +56,7 @@ class ErrorMaps:
         tool: Array = NO_TOOL,
         further: tuple[Array, Array] | None = None,
         parameters: Array | None = None,
-    ) -> ErrorMaps:
+    ) -> "ErrorMaps":
         """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
 
         tool        tool point in the platform's frame; home is home with this tool

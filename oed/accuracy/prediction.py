@@ -12,8 +12,6 @@ Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lamb
 tolerances).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
@@ -57,7 +55,7 @@ class Spread:
     )
 
     @classmethod
-    def of_errors(cls, errors: Array, worth: float | None = None) -> Spread:
+    def of_errors(cls, errors: Array, worth: float | None = None) -> "Spread":
         """Spread of the errors (machines, n), SI, of one pose component.
 
         worth  number of independent machines that these are worth; all by default

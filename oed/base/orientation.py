@@ -9,8 +9,6 @@ R takes vectors of the platform's frame into the frame of the angles. Where angl
 the direction of the tool axis alone, it is n = R e_z.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 
@@ -35,22 +33,22 @@ class Orientation:
     axis_only: bool = False  #: whether the angles give n = R e_z alone
 
     @classmethod
-    def rotation(cls, *factors: tuple[str, str]) -> Orientation:
+    def rotation(cls, *factors: tuple[str, str]) -> "Orientation":
         """Rotations about axes, as in `rotation(("x", "alpha"), ("y", "beta"))`."""
         return cls(tuple((axis, (name,)) for axis, name in factors))
 
     @classmethod
-    def direction(cls, *factors: tuple[str, str]) -> Orientation:
+    def direction(cls, *factors: tuple[str, str]) -> "Orientation":
         """As `rotation`, of which the direction n = R e_z alone is meant."""
         return cls(cls.rotation(*factors).factors, axis_only=True)
 
     @classmethod
-    def tilt(cls, rx: str, ry: str) -> Orientation:
+    def tilt(cls, rx: str, ry: str) -> "Orientation":
         """The direction n = T(rx, ry) e_z of a tilt by the rotation vector (rx, ry, 0)."""
         return cls(((TILT, (rx, ry)),), axis_only=True)
 
     @classmethod
-    def tilt_and_spin(cls, rx: str, ry: str, spin: str) -> Orientation:
+    def tilt_and_spin(cls, rx: str, ry: str, spin: str) -> "Orientation":
         """A spin about z, then a tilt by the rotation vector (rx, ry, 0)."""
         return cls(((TILT, (rx, ry)), ("z", (spin,))))
 

@@ -1,7 +1,5 @@
 """Checks the readings of a session before they are fitted, and says what is wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -130,7 +128,7 @@ class CheckedSession:
 
     def with_goodness(
         self, fitted: Goodness, *, noise_is_a_guess: bool
-    ) -> CheckedSession:
+    ) -> "CheckedSession":
         """The check with the figures of the fit that is delivered, and their findings.
 
         Where that fit does not use the law, the readings are judged by the check's.

@@ -19,8 +19,6 @@ are compared, as a search by one reading at a time can take the neighbours of tw
 for them, or stop between them (masking).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -471,7 +469,7 @@ class OutlierOdds:
             odds = _odds_beside_heavy_tails(errors, self.share, tails)
         return dict(zip(members, map(float, odds), strict=True))
 
-    def _prediction_errors(self, members: Sequence[int]) -> _PredictionErrors:
+    def _prediction_errors(self, members: Sequence[int]) -> "_PredictionErrors":
         """The errors, with each suspect predicted without the other suspects."""
         prediction = self.prediction
         gradient, precision = prediction.without(members)

@@ -14,8 +14,6 @@ to all but the first, are those of H^T H + s^2 and, the first of them, what rema
     -1/2 [ N log s^2 + sum log(d_i / s^2) + d_0 / s^2 ].
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -48,7 +46,7 @@ class Score:
     log_evidence: float
     scale: float
 
-    def plus(self, log_factor: float) -> Score:
+    def plus(self, log_factor: float) -> "Score":
         """The score with a factor on the density."""
         return Score(self.log_evidence + log_factor, self.scale)
 

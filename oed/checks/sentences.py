@@ -1,7 +1,5 @@
 """What a check found, in sentences that name file rows, columns, values and ranges."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -233,7 +231,7 @@ def coarse(session: SessionReadings, one: CoarseReadings) -> CheckFinding:
     return CheckFinding(Severity.REMARK, "coarse", sentence, rows)
 
 
-def contradicting(pairs: Sequence[Contradiction]) -> list[CheckFinding]:
+def contradicting(pairs: "Sequence[Contradiction]") -> list[CheckFinding]:
     """Runs whose order of poses contradicts their column `direction`."""
     if not pairs:
         return []

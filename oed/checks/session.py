@@ -5,8 +5,6 @@ relates readings (an error of a run, one that is carried along) is no misfit. Ho
 readings scatter is judged against the stated noise.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +42,7 @@ class CheckedLaw:
         scale = np.array([[self.scale.get(name, 1.0) for name in structure.names]])
         return dataclasses.replace(self.law, scale=scale)
 
-    def with_scale(self, least: float, most: float) -> CheckedLaw:
+    def with_scale(self, least: float, most: float) -> "CheckedLaw":
         """The law with scales no smaller and no larger than these."""
         scale = {k: float(np.clip(v, least, most)) for k, v in self.scale.items()}
         return dataclasses.replace(self, scale=scale)
@@ -127,7 +125,7 @@ class SessionReadings:
                 shown &= ~self.mask(name)
         return shown
 
-    def take(self, readings: Index) -> SessionReadings:
+    def take(self, readings: Index) -> "SessionReadings":
         """The session with these readings only, by number, in ascending order."""
         chosen = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)
         chosen[readings] = True
@@ -143,7 +141,7 @@ class SessionReadings:
             self, series=tuple(series), y=self.y[used], values=values
         )
 
-    def without(self, readings: Sequence[int] | Index) -> SessionReadings:
+    def without(self, readings: Sequence[int] | Index) -> "SessionReadings":
         """The session without these readings, by number."""
         every = np.arange(1 + int(self.reading_of_value[-1]))
         return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
@@ -159,11 +157,11 @@ class SessionReadings:
         """The file of a value, by number; empty where there is one alone."""
         return getattr(self.values["row"].iloc[value], "file", "")
 
-    def with_y(self, y: Array) -> SessionReadings:
+    def with_y(self, y: Array) -> "SessionReadings":
         """The session with other values (N,), SI."""
         return dataclasses.replace(self, y=y)
 
-    def with_sigma(self, sigma: Array) -> SessionReadings:
+    def with_sigma(self, sigma: Array) -> "SessionReadings":
         """The session with another noise (N,) of single readings, SI."""
         series = tuple(
             dataclasses.replace(s, sigma=sigma[span].reshape(len(s), -1))
@@ -222,7 +220,7 @@ class SessionReadings:
         number, unit = written(value, si)
         return f"{number:.4g} {unit}"
 
-    def predict_ranges(self, rng: np.random.Generator) -> Ranges:
+    def predict_ranges(self, rng: np.random.Generator) -> "Ranges":
         """Ranges of a session's readings. Raises AssemblyError at the nominal machine."""
         measurement, series = self.measurement, self.series
         nominal = measurement.nominal

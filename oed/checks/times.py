@@ -6,8 +6,6 @@ time: runs whose readings are closer in time than half of any step of either con
 runs that take turns do not, and are remarked.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -114,7 +112,7 @@ class TimedRun:
         """Rows of the files from a reading on."""
         return tuple(self.rows[first:].tolist())
 
-    def scaled(self, factor: float, later: float = 0.0) -> TimedRun:
+    def scaled(self, factor: float, later: float = 0.0) -> "TimedRun":
         """The run with times times a factor, and later by an amount, s."""
         return dataclasses.replace(self, times=factor * self.times + later)
 

@@ -7,8 +7,6 @@ worst component, gets the next nodes: along all axes that product falls at the s
 per node of the table.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
@@ -70,7 +68,7 @@ class GridAxis:
             return 1
         return MIN_NODES_ROUND if self.turn else MIN_NODES
 
-    def shrunk(self, share: float) -> GridAxis:
+    def shrunk(self, share: float) -> "GridAxis":
         """The axis with this share of what counts, about its middle; turns stay whole."""
         if self.turn or share == 1.0:
             return self
@@ -79,7 +77,7 @@ class GridAxis:
         lower, upper = middle - share * half, middle + share * half
         return dataclasses.replace(self, lower=lower, upper=upper, counted=None)
 
-    def reaching(self, position: float) -> GridAxis:
+    def reaching(self, position: float) -> "GridAxis":
         """The axis extended to a place, where errors do not count."""
         if self.holds(position):
             return self
@@ -89,7 +87,7 @@ class GridAxis:
         )
 
     @staticmethod
-    def of_box(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
+    def of_box(machine: Machine, command: Array) -> "tuple[GridAxis, ...]":
         """Axes of the box of commands (n, n_dof), SI.
 
         An angle after which the pose repeats is a full turn, if the commands lie round it:
@@ -153,7 +151,7 @@ class CommandGrid:
         target: Array,
         largest: int,
         rng: np.random.Generator,
-    ) -> CommandGrid:
+    ) -> "CommandGrid":
         """The grid with about the fewest commands whose interpolation costs at most `target`.
 
         correction  (n, s, nq) of the joints in s states, at commands; tabled at the nodes

@@ -6,8 +6,6 @@ and an X-Y table or a part program can take them back. Tian et al. (2016) correc
 by the drives of their table (section 4).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -73,7 +71,7 @@ class FurtherAxes:
         return (inverse @ offsets[:, :, None])[:, :, 0]
 
     @classmethod
-    def of(cls, kinematics: Kinematics) -> FurtherAxes:
+    def of(cls, kinematics: Kinematics) -> "FurtherAxes":
         """The motions that a machine's joints do not make; none where they make all."""
         machine = kinematics.machine
         undriven = [c for c in machine.components if not c.compensatable]

@@ -12,8 +12,6 @@ Volinsky 1999, Stat. Sci. 14, 382-401). Each answer's posterior is that of the o
 In a draw of one answer the effects of all others are 0.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools
@@ -112,7 +110,7 @@ class AnswerMixture:
             for a, n in zip(self.answers, counts, strict=True)
         ]
 
-    def draw(self, rng: np.random.Generator, count: int = N_DRAWS) -> MixtureDraws:
+    def draw(self, rng: np.random.Generator, count: int = N_DRAWS) -> "MixtureDraws":
         """Draws of the machine: answers in their shares, each with its effects."""
         taken = self.rows(rng, count)
         counts = np.array([len(rows) for rows in taken])

@@ -16,8 +16,6 @@ estimated again:
 Sizes are posterior medians: where the readings tell nothing, the expected one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -67,7 +65,7 @@ def choose_forms(
 
 def _best_form(
     problem: GapProblem,
-    evidence: FormEvidence,
+    evidence: "FormEvidence",
     effect: Effect,
     others: Sequence[ChosenForm],
 ) -> ChosenForm | None:

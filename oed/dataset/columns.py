@@ -1,7 +1,5 @@
 """Columns of a readings file: labels, covariates, and names that carry their unit."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -134,7 +132,7 @@ class ReadingsColumn:
     factor: float  #: from the column's numbers to SI
 
     @classmethod
-    def parse(cls, name: str) -> ReadingsColumn:
+    def parse(cls, name: str) -> "ReadingsColumn":
         """The column of a name. Raises UnitError where it carries no known unit."""
         if name in UNITLESS:
             return cls(name, name, "1", 1.0)
@@ -152,7 +150,7 @@ class ReadingsColumn:
             return name
 
     @classmethod
-    def of(cls, stem: str, si: str) -> ReadingsColumn:
+    def of(cls, stem: str, si: str) -> "ReadingsColumn":
         """The column in which a quantity is written: `z_mm`, `psi_deg`, `direction`."""
         if stem in UNITLESS:
             return cls(stem, stem, "1", 1.0)
@@ -160,7 +158,7 @@ class ReadingsColumn:
         return cls(f"{stem}_{unit}", stem, si, factor)
 
     @classmethod
-    def of_covariate(cls, stem: str) -> ReadingsColumn | None:
+    def of_covariate(cls, stem: str) -> "ReadingsColumn | None":
         """The column of a covariate, temperatures and tensions included; None of others."""
         if stem.startswith(TENSION):
             return cls.of(stem, "N")

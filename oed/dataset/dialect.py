@@ -6,8 +6,6 @@ guesses the separator from letter frequencies; here the header decides, as three
 columns are known.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import dataclasses
@@ -41,7 +39,7 @@ class SplitText:
     comments: int = 0  #: number of these comments
 
     @classmethod
-    def of(cls, text: str) -> SplitText:
+    def of(cls, text: str) -> "SplitText":
         """The table of a text. A header without the known columns counts as commas."""
         stated = SEPARATOR_LINE.match(text)
         if stated is not None and stated[1] in SEPARATORS:

@@ -14,8 +14,6 @@ The products X T are rounded. Entry by entry, the error is at most
 certificate allows for it (`oed.design.objective`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 
@@ -124,12 +122,12 @@ class Rounding(NamedTuple):
     rows: float = 0.0  #: largest error of a block (k, n), in the Frobenius norm
     prior: float = 0.0  #: of the prior information, in the Frobenius norm
 
-    def rounding_of_basis(self, basis: Array) -> Rounding:
+    def rounding_of_basis(self, basis: Array) -> "Rounding":
         """The errors of blocks and prior in coordinates of a basis (n, r)."""
         size = float(np.linalg.norm(basis, 2))
         return Rounding(self.rows * size, self.prior * size**2)
 
-    def plus(self, other: Rounding) -> Rounding:
+    def plus(self, other: "Rounding") -> "Rounding":
         """Both errors together."""
         return Rounding(self.rows + other.rows, self.prior + other.prior)
 

@@ -16,8 +16,6 @@ Effects that the model lacks are further unknowns of prior variance 1, which all
 share: nuisances, whose columns come last.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -47,11 +45,11 @@ class Nuisances:
         """Number u of unknowns."""
         return int(self.columns.shape[1])
 
-    def take(self, rows: slice) -> Nuisances:
+    def take(self, rows: slice) -> "Nuisances":
         """Those of some numbers."""
         return Nuisances(self.columns[rows], self.scatter[rows])
 
-    def after(self, first: int) -> Nuisances:
+    def after(self, first: int) -> "Nuisances":
         """Those from a number on."""
         return self.take(slice(first, None))
 
@@ -99,7 +97,7 @@ class Candidates:
         *,
         whole_runs: bool = False,
         nuisances: Nuisances | None = None,
-    ) -> Candidates:
+    ) -> "Candidates":
         """Candidates from all readings of the series at theta (n,).
 
         With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
@@ -172,7 +170,7 @@ class Candidates:
         """Number u of nuisances."""
         return 0 if self.nuisances is None else self.nuisances.count
 
-    def add_prior(self, information: Array) -> Candidates:
+    def add_prior(self, information: Array) -> "Candidates":
         """With information (n, n) on the parameters added to the prior information."""
         total = self.prior_information.copy()
         total[: self.columns, : self.columns] += information

@@ -24,8 +24,6 @@ least the least <Z, M> / <Y, M> over the weights, and F(z) is at most the larges
 <Y - z Z, M>. The points are those of the path of `oed.design.interior`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 
@@ -104,7 +102,7 @@ class EigenvaluePoint:
         low = self.dual.point.low / self.plan.least
         return low - share * self.dual.point.high / self.plan.largest
 
-    def combine(self, other: EigenvaluePoint) -> EigenvaluePoint:
+    def combine(self, other: "EigenvaluePoint") -> "EigenvaluePoint":
         """The better weights of two points, with the better dual point of both."""
         plan, other_plan = self.plan, other.plan
         if self.slope is None:

@@ -14,8 +14,6 @@ its efficiency. A general conic solver gives the weights too (`oed.design.conic`
 checks the solver of this project by one that shares no code with it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -66,7 +64,7 @@ def rank_combinations(
 
 
 def _exchange_setups(
-    best: Combination, names: list[int], values: _CombinationValues
+    best: Combination, names: list[int], values: "_CombinationValues"
 ) -> Combination:
     """The combination after exchanges of one set-up, until none helps."""
     improved = True

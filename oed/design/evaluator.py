@@ -1,7 +1,5 @@
 """Values of plans, and of plans with each candidate added, for exchange searches."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Protocol
 
@@ -64,7 +62,7 @@ class PlanEvaluator(Protocol):
         """The best plan from starts (plans, size) by a search, or the first."""
         return np.asarray(starts[0])
 
-    def subset(self, pool: Index) -> PlanEvaluator:
+    def subset(self, pool: Index) -> "PlanEvaluator":
         """The evaluator over a part of the candidates."""
         ...
 
@@ -134,7 +132,7 @@ class CriterionEvaluator:
         n = len(self.base)
         return self.base + SMALL_RIDGE * size / n * np.eye(n)
 
-    def subset(self, pool: Index) -> CriterionEvaluator:
+    def subset(self, pool: Index) -> "CriterionEvaluator":
         """The evaluator over a part of the candidates."""
         return dataclasses.replace(self, blocks=self.blocks[pool])
 

@@ -9,8 +9,6 @@ bounds by relaxation leave a share open: where there are few plans, all of them 
 at, which costs less, and proves the best one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -127,7 +125,7 @@ class Choice:
         value: float,
         upper: float,
         duality_gap: float | None,
-    ) -> Choice:
+    ) -> "Choice":
         """The choice with a bound; its value and the bound `upper` are log phi.
 
         `duality_gap` is None where it is not known.
@@ -214,7 +212,7 @@ def choose(
     return choice.add_bound(goal, value, upper.bound, upper.duality_gap)
 
 
-def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice:
+def _choice(problem: "Problem", best: Index, value: float, columns: int) -> Choice:
     return Choice(
         indices=np.sort(best),
         criterion=problem.criterion.name,

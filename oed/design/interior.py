@@ -16,8 +16,6 @@ over ten decades. S2 is rounded against l_max, which is all it needs. For kappa,
 z = l_min / l_max follows the plan (`oed.design.condition`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 
@@ -66,7 +64,7 @@ class Iterate(NamedTuple):
     a: Array
     b: Array
 
-    def after(self, move: Move, primal: float, dual: float) -> Iterate:
+    def after(self, move: Move, primal: float, dual: float) -> "Iterate":
         """The iterate after shares of a move."""
         return Iterate(
             self.w + primal * move.w,
@@ -93,7 +91,7 @@ class StepSystem:
 
     def __init__(
         self,
-        problem: InteriorProblem,
+        problem: "InteriorProblem",
         slope: float,
         iterate: Iterate,
         s1: Array,
@@ -274,7 +272,7 @@ class InteriorProblem:
         least = 1.0 / float(np.linalg.eigvalsh(inverse)[-1])
         return least, float(np.linalg.eigvalsh(m)[-1])
 
-    def subset(self, active: Index) -> InteriorProblem:
+    def subset(self, active: Index) -> "InteriorProblem":
         """The problem over a part of the candidates."""
         return dataclasses.replace(
             self,

@@ -24,8 +24,6 @@ change is added on the safe side: of the gradients, of their sum,
 and of the line's logarithms.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Protocol
@@ -118,11 +116,11 @@ class Objective(Protocol):
         """Gradient (A,) and negative second derivatives (A, A)."""
         ...
 
-    def subset(self, chosen: Index) -> Objective:
+    def subset(self, chosen: Index) -> "Objective":
         """The objective over a part of the candidates."""
         ...
 
-    def regularised(self, weights: Array) -> Objective:
+    def regularised(self, weights: Array) -> "Objective":
         """The objective where weights on all candidates may leave it undetermined.
 
         It is itself where the prior information alone determines every direction.
@@ -200,11 +198,11 @@ class CriterionObjective:
         first = weight_gradient(blocks, self.criterion.support(m).root)
         return first, self.criterion.curvature(m, blocks)
 
-    def subset(self, chosen: Index) -> CriterionObjective:
+    def subset(self, chosen: Index) -> "CriterionObjective":
         """The objective over a part of the candidates."""
         return dataclasses.replace(self, blocks=self.blocks[chosen])
 
-    def regularised(self, weights: Array) -> CriterionObjective:
+    def regularised(self, weights: Array) -> "CriterionObjective":
         """The objective with a ridge, small beside the information at the weights."""
         return self.add_ridge(RIDGE_SHARE * self.mean_eigenvalue(weights))
 
@@ -213,7 +211,7 @@ class CriterionObjective:
         trace = float(np.einsum("ckn,ckn,c->", self.blocks, self.blocks, weights))
         return float((trace + np.trace(self.base)) / self.directions)
 
-    def add_ridge(self, ridge: float) -> CriterionObjective:
+    def add_ridge(self, ridge: float) -> "CriterionObjective":
         """The objective with ridge * 1 added to M0."""
         base = self.base + ridge * np.eye(len(self.base))
         return dataclasses.replace(self, base=base)

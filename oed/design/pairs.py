@@ -20,8 +20,6 @@ where a plan is nearly singular without row i, and, with s_ij = x_i^T T x_j,
     tr(W P') = tr(W P) - ((1 - d_ii) s_jj + 2 d_ij s_ij - (1 + d_jj) s_ii) / q.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +79,7 @@ class _Crossed(NamedTuple):
     cross: Array  #: (N, C) x_i^T P x_j
 
     @classmethod
-    def of(cls, rows: Array, others: Array, matrix: Array) -> _Crossed:
+    def of(cls, rows: Array, others: Array, matrix: Array) -> "_Crossed":
         sides = rows @ matrix
         forms = np.einsum("ij,ij->i", others @ matrix, others)
         return cls(np.einsum("ij,ij->i", sides, rows), forms, sides @ others.T)
@@ -101,7 +99,7 @@ class _Leaving(NamedTuple):
     shares: Array  #: (N,) det(1 - D_ii)
 
     @classmethod
-    def of(cls, chosen: Array, inverse: Array) -> _Leaving:
+    def of(cls, chosen: Array, inverse: Array) -> "_Leaving":
         """The blocks (N, k, n) of a plan."""
         sides = chosen @ inverse
         remaining = np.eye(chosen.shape[1]) - sides @ np.swapaxes(chosen, 1, 2)

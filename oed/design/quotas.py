@@ -11,8 +11,6 @@ with P the membership of the classes. The relaxation takes the quotas as linear 
 on the weights (`oed.design.conic`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -69,12 +67,12 @@ class QuotaSet:
 
     def joined(
         self, name: str, members: Mask, least: int = 0, most: int | None = None
-    ) -> QuotaSet:
+    ) -> "QuotaSet":
         """The quotas with one more, as `Quota` has it."""
         quotas = (*self.quotas, Quota(name, members, least, most))
         return dataclasses.replace(self, quotas=quotas)
 
-    def joined_equally(self, groups: Sequence[str]) -> QuotaSet:
+    def joined_equally(self, groups: Sequence[str]) -> "QuotaSet":
         """Quotas with equal numbers of groups (C,). Raises ValueError."""
         equal = equal_numbers(groups, self.size)
         return dataclasses.replace(self, quotas=(*self.quotas, *equal))
@@ -211,7 +209,7 @@ class QuotaSet:
         upper = np.concatenate([self.most[some_most], -self.least[some_least]])
         return rows, upper
 
-    def subset(self, pool: Index) -> QuotaSet:
+    def subset(self, pool: Index) -> "QuotaSet":
         """The quotas over a part of the candidates."""
         quotas = tuple(
             dataclasses.replace(quota, members=quota.members[pool])

@@ -16,8 +16,6 @@ the supporting lines of the f_s, give a bound (joined as in
 proportional to exp(-sharpness f_s), capped at 1 / (tail_share S).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 
@@ -166,7 +164,7 @@ class _ScenarioEvaluator(PlanEvaluator):
         tables = [s.values_after_adding(chosen, level, ridge) for s in self.scenarios]
         return self._aggregate(np.array(tables))
 
-    def subset(self, pool: Index) -> _ScenarioEvaluator:
+    def subset(self, pool: Index) -> "_ScenarioEvaluator":
         scenarios = tuple(s.subset(pool) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)
 
@@ -279,12 +277,12 @@ class RiskObjective:
             curvature = curvature + self.sharpness * covariance
         return mean, np.asarray(curvature)
 
-    def subset(self, chosen: Index) -> RiskObjective:
+    def subset(self, chosen: Index) -> "RiskObjective":
         """The objective over a part of the candidates."""
         scenarios = tuple(s.subset(chosen) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)
 
-    def regularised(self, weights: Array) -> RiskObjective:
+    def regularised(self, weights: Array) -> "RiskObjective":
         """The objective with the first scenario's ridge in each scenario."""
         ridge = RIDGE_SHARE * self.scenarios[0].mean_eigenvalue(weights)
         scenarios = tuple(s.add_ridge(ridge) for s in self.scenarios)

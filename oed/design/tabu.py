@@ -14,8 +14,6 @@ Which candidates may come is asked of the plan itself, every few steps: near sat
 optimal weights do not tell which rows complete one another.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from functools import cached_property
@@ -106,7 +104,7 @@ def search_plans(
     return copies.different(trails[0].best)
 
 
-def _better_half(trails: list[_Trail]) -> list[_Trail]:
+def _better_half(trails: "list[_Trail]") -> "list[_Trail]":
     """The half with the better plans; of those that passed the same plan, one."""
     best_first = sorted(trails, key=lambda trail: -trail.best_value)
     different = {tuple(np.sort(t.best).tolist()): t for t in reversed(best_first)}
@@ -171,7 +169,7 @@ class _Trail:
     taken: int = 0
 
     @classmethod
-    def at(cls, start: Index, problem: _TabuProblem, max_rest: int) -> _Trail:
+    def at(cls, start: Index, problem: _TabuProblem, max_rest: int) -> "_Trail":
         """A plan at its start."""
         free = problem.copies.copy()
         np.subtract.at(free, start, 1)

@@ -8,8 +8,6 @@ marginalises. The same columns give the effect's signature in the readings (H de
 to first order) and, through the exact closure, a virtual machine that has the effect.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import functools
@@ -291,12 +289,12 @@ class Effect:
             units.append("m")
         return tuple(dict.fromkeys(units))
 
-    def with_constants(self, constants: Mapping[str, float]) -> Effect:
+    def with_constants(self, constants: Mapping[str, float]) -> "Effect":
         """The effect with these constants at one value each."""
         values = {name: (value,) for name, value in constants.items()}
         return dataclasses.replace(self, constants={**self.constants, **values})
 
-    def with_expected_size(self, unit: str, size: float) -> Effect:
+    def with_expected_size(self, unit: str, size: float) -> "Effect":
         """The effect with its coefficients of an SI unit expected to be `size`, SI.
 
         The largest of them gets that prior standard deviation; the others, what lets

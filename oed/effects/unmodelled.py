@@ -16,8 +16,6 @@ up what they can of the effects, and leaves as well
 with C what compensation changes per unit of a parameter.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -95,7 +93,7 @@ class ExpectedEffects:
         effects: Sequence[Effect],
         reference: Reference,
         rng: np.random.Generator,
-    ) -> ExpectedEffects | None:
+    ) -> "ExpectedEffects | None":
         """Expected errors at the commands of `maps`; None where no effect makes any.
 
         model  of the problem's readings, linearised where the problem is. Effects that

@@ -9,8 +9,6 @@ where V_r spans the directions that some reading determines. The others keep the
 prior: to first order no reading says anything about them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -47,7 +45,7 @@ class IdentifiableCoordinates:
         theta: Array,
         noise: Noise | Array,
         tolerance: Array | None = None,
-    ) -> IdentifiableCoordinates:
+    ) -> "IdentifiableCoordinates":
         """Identifiable coordinates of readings, with H taken at theta (n,), SI.
 
         noise      of the readings, or its standard deviations (N,)
@@ -106,7 +104,7 @@ class IdentifiableCoordinates:
         )
         return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
 
-    def widened(self, factor: float) -> IdentifiableCoordinates:
+    def widened(self, factor: float) -> "IdentifiableCoordinates":
         """The same with tolerances a factor as large, null directions apart."""
         basis, dual = factor * self.basis, self.dual / factor
         return dataclasses.replace(self, basis=basis, dual=dual)

@@ -10,8 +10,6 @@ root of the prior covariance. The minimum is the same: where the gradient is zer
 part in the directions that no reading determines.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -126,7 +124,7 @@ def stage_with_effects(
     )
 
 
-def _mean_covariance(weights: Array, fits: Sequence[_Settled]) -> Array:
+def _mean_covariance(weights: Array, fits: "Sequence[_Settled]") -> Array:
     """Covariance (n, n) of the parameters within fits, by their weights."""
     parts = zip(weights, fits, strict=True)
     return np.asarray(sum(w * one.parameter_covariance() for w, one in parts))

@@ -20,8 +20,6 @@ law, on average over its r directions (Pauli, Racugno and Ventura 2011):
     w^2 = tr[(H^T T^-1 H)^-1 H^T T^-1 C T^-1 H] / r.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -118,7 +116,7 @@ def _stated_weights(
     fit: ReadingsFit,
     stated: Noise,
     first: Estimate,
-    check: LawCheck,
+    check: "LawCheck",
 ) -> Estimate:
     """The fit, far readings replaced, by stated weights with the law's intervals."""
     (stage,) = first.stages

@@ -5,8 +5,6 @@ probability `P_DEPARTURE`: single readings that scatter by a fifth more or less,
 run or of a seat that is half the stated noise, a quarter of the variance correlated.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 
@@ -103,7 +101,7 @@ def _record(
 
 def _channel_numbers(
     name: str,
-    stated: _StatedChannel,
+    stated: "_StatedChannel",
     scale: Array,
     scatter: Array,
     laws: Laws,

@@ -13,8 +13,6 @@ nodes of a grid. Here the errors are carried through the kinematics to the joint
 the commands need not be the coordinates in which errors are stated.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable
@@ -147,7 +145,7 @@ class JointErrors:
         size = np.linalg.norm(jacobian[:, self._driven], axis=2)
         return np.asarray(np.isfinite(size) & (size < MAX_SLOPE))
 
-    def fit(self, command: Array, errors: Array, sigma: Array) -> ErrorField:
+    def fit(self, command: Array, errors: Array, sigma: Array) -> "ErrorField":
         """The field that readings `errors` (n, k) at commands make most probable.
 
         errors  SI, less what the parameters predict; NaN where none was read
@@ -171,7 +169,7 @@ class JointErrors:
 
     def plan_nodes(
         self, candidates: Array, most: int, expected: Array, sigma: Array, target: Array
-    ) -> NodeDesign:
+    ) -> "NodeDesign":
         """`design_nodes` for expected rms errors (k,), SI; NaN where none is stated."""
         rows = self.rows(self.command)
         size = joint_size(rows, np.broadcast_to(expected, rows.local.shape[:2]))
@@ -325,7 +323,7 @@ class ErrorField:
         axes: tuple[GridAxis, ...],
         largest: int,
         rng: np.random.Generator,
-    ) -> Forecast:
+    ) -> "Forecast":
         """The table of an estimated field of errors.
 
         predicted_errors  errors (n, k) that the parameters predict, at commands, SI
@@ -525,7 +523,7 @@ class Forecast:
 
     def checked(
         self, command: Array, errors: Array, sigma: Array
-    ) -> tuple[Forecast, Array, Array]:
+    ) -> "tuple[Forecast, Array, Array]":
         """The forecast as nodes (n, n_dof) that were not fitted widen it.
 
         errors, sigma  (n, k) and their noise, SI; NaN where none was read

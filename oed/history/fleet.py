@@ -20,8 +20,6 @@ changes in a and V on average adds up, and so does the covariance of a with each
 for one parameter. Uniform spreads: A. Gelman, Bayesian Analysis 1 (2006) 515-534.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -49,12 +47,12 @@ class MachineInformation:
     @classmethod
     def of_posterior(
         cls, value: Array, covariance: Array, nominal: Array, tolerance: Array
-    ) -> MachineInformation:
+    ) -> "MachineInformation":
         """A posterior (p,), (p, p) without its prior (p,), of one unit each."""
         root, white = likelihood(Session(value, covariance), nominal, tolerance)
         return cls(root.T @ root, root.T @ white)
 
-    def rescaled(self, factor: Array, shift: Array) -> MachineInformation:
+    def rescaled(self, factor: Array, shift: Array) -> "MachineInformation":
         """In other tolerances and about another nominal value.
 
         factor  (p,) the other tolerances over those of the machine

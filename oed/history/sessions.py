@@ -23,8 +23,6 @@ unit of time. What the line leaves of the sessions is chi2 as well: a machine th
 knocked does not drift.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -494,7 +492,7 @@ class MachineSessions:
         nominal: Array,
         tolerance: Array,
         posteriors: Sequence[tuple[Array, Array]],
-    ) -> MachineSessions:
+    ) -> "MachineSessions":
         """Sessions of which the posteriors are given as mean and covariance."""
         return cls(names, nominal, tolerance, [Session(*p) for p in posteriors])
 

@@ -11,8 +11,6 @@ the same poses with a longer tool, with the tool's position or axis read as well
 sensors on the machine's passive joints, or with another set-up of the study.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -54,7 +52,7 @@ class Assessment:
         measurement: Measurement,
         series: Sequence[Series],
         scaling: Scaling = "length",
-    ) -> Assessment:
+    ) -> "Assessment":
         """Assess readings of the nominal machine.
 
         Parameters of set-ups that `series` does not use are left out. `scaling` holds for

@@ -1,7 +1,5 @@
 """What an instrument is: what it reads, its set-up's unknowns, its noise and cost."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -178,7 +176,7 @@ class Instrument:
     about: str = ""
     renewed: tuple[str, ...] = ()
     implied: float | None = None
-    adapt: Callable[[Machine], Instrument] | None = None
+    adapt: "Callable[[Machine], Instrument] | None" = None
     orientation: Orientation | None = None
     inner: tuple[InnerReading, ...] = ()
     from_inner: FromInner | None = None
@@ -186,11 +184,11 @@ class Instrument:
     fixed_point: bool = False
     held: tuple[Parameter, ...] = ()
 
-    def for_machine(self, machine: Machine) -> Instrument:
+    def for_machine(self, machine: Machine) -> "Instrument":
         """The instrument with the channels and settings that it has on a machine."""
         return self if self.adapt is None else self.adapt(machine)
 
-    def take_channels(self, names: Sequence[str]) -> Instrument:
+    def take_channels(self, names: Sequence[str]) -> "Instrument":
         """The instrument that reads some of its channels alone, in its own order.
 
         Settings and unknowns of the other channels alone are left out. Raises

@@ -1,7 +1,5 @@
 """Series of readings in one set-up: joints sent, poses each reading sees, runs."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -48,7 +46,7 @@ class Series:
     def __len__(self) -> int:
         return int(self.index.shape[0])
 
-    def take(self, rows: Index) -> Series:
+    def take(self, rows: Index) -> "Series":
         """The readings `rows`, in that order, with only the poses they see."""
         poses, index = np.unique(self.index[rows], return_inverse=True)
         index = index.reshape(self.index[rows].shape).astype(np.intp)
@@ -57,7 +55,7 @@ class Series:
             self._at(poses), index=index, run=self.run[rows], sigma=sigma
         )
 
-    def of_machines(self, machines: Index | int) -> Series:
+    def of_machines(self, machines: Index | int) -> "Series":
         """The readings of some machines, or of one, where each has its own joints."""
         if self.q.ndim == 2:
             return self
@@ -70,7 +68,7 @@ class Series:
             sees[np.arange(len(self)), poses] = 1.0
         return chosen @ sees > 0.0
 
-    def expand_passes(self, protocol: Protocol) -> Series:
+    def expand_passes(self, protocol: Protocol) -> "Series":
         """All passes as runs, backward ones reversed, unless averaged."""
         if protocol.average or len(protocol.pass_names) == 1:
             return self
@@ -84,7 +82,7 @@ class Series:
         expanded = self.take(np.concatenate(rows))
         return dataclasses.replace(expanded, run=np.array(labels, dtype=np.str_))
 
-    def separate_poses(self) -> Series:
+    def separate_poses(self) -> "Series":
         """The same readings with a pose of its own for each.
 
         The passes of a run share poses, but not the machine's state. References stay
@@ -106,7 +104,7 @@ class Series:
         """For each pose of a reading (its own, its reference) the indices (n,)."""
         return [self.index[:, j] for j in range(self.index.shape[1])]
 
-    def _at(self, poses: Index) -> Series:
+    def _at(self, poses: Index) -> "Series":
         """The series with `poses` in place of its poses; the index is left as it is."""
         return dataclasses.replace(
             self,
@@ -134,7 +132,7 @@ class TakenReadings:
     @staticmethod
     def of_values(
         series: Sequence[Series], channels: Sequence[int], values: Index
-    ) -> tuple[list[TakenReadings], Index]:
+    ) -> "tuple[list[TakenReadings], Index]":
         """The readings that some values belong to, and where these are among theirs (k,).
 
         channels  values of a reading of each series

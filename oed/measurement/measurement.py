@@ -3,8 +3,6 @@
 Each set-up's readings are those of `oed.measurement.setup_readings`, series after series.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -59,7 +57,7 @@ class Measurement(ParameterVector):
             for setup in setups
         }
 
-    def with_setups(self, setups: Sequence[Setup]) -> Measurement:
+    def with_setups(self, setups: Sequence[Setup]) -> "Measurement":
         """The same machine with other set-ups; its kinematics are shared."""
         return Measurement(self.machine, setups, self.kinematics)
 
@@ -148,7 +146,7 @@ class Measurement(ParameterVector):
         y = [self._read(s, vectors, w) for s, w in zip(series, parts, strict=True)]
         return np.hstack(y)[0] if theta.ndim == 1 else np.hstack(y)
 
-    def taken_measurement(self, taken: Sequence[TakenReadings]) -> Measurement:
+    def taken_measurement(self, taken: Sequence[TakenReadings]) -> "Measurement":
         """The measurement of series that have some readings of others."""
         return self
 

@@ -10,8 +10,6 @@ of variance t. A straight drift is nearly the first term, and what is faster tha
 one is left to what runs share and carry along.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -84,9 +82,9 @@ def _run_errors(
     measurement: Measurement,
     series: Sequence[Series],
     theta: Array,
-    parts: _Parts,
+    parts: "_Parts",
     decouple: scipy.sparse.csr_array,
-) -> _RunErrors:
+) -> "_RunErrors":
     """What the errors that runs share follow from."""
     renewed = renewed_jacobian(measurement, series, theta)
     return _RunErrors(

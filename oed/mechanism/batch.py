@@ -6,8 +6,6 @@ for many (`oed.mechanism.tape`), and a function that the C compiler of this comp
 made beside the work once that has lasted a while.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import os
@@ -155,7 +153,7 @@ class BatchedFunction:
         return ca.Function(name, inputs, dense, {"cse": True})
 
     @functools.cached_property
-    def _plain(self) -> PlainFunction:
+    def _plain(self) -> "PlainFunction":
         return PlainFunction(self._function)
 
     def _alone(self, number: int, inputs: Sequence[Array]) -> Array:

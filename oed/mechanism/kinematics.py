@@ -18,8 +18,6 @@ equally stiff, scale the rows of the closure by their compliance.
 All functions run over many poses and many parameter vectors at once.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools
@@ -54,7 +52,7 @@ TARGET_TOLERANCE = 1e-9
 
 
 def corrected_commands(
-    kinematics: Kinematics, command: Array, parameters: Array, tool: Array
+    kinematics: "Kinematics", command: Array, parameters: Array, tool: Array
 ) -> Array:
     """Commands (n, n_dof) that make a controller with the nominal model hold `command`.
 
@@ -121,7 +119,7 @@ def _compensated_equations(machine: Machine) -> BatchedFunction:
 
 
 def command_of_pose(
-    kinematics: Kinematics, pose: Array, start: Array, tool: Array
+    kinematics: "Kinematics", pose: Array, start: Array, tool: Array
 ) -> Array:
     """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton.
 
@@ -213,7 +211,7 @@ class Kinematics:
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
 
-    def with_priors_of(self, machine: Machine) -> Kinematics:
+    def with_priors_of(self, machine: Machine) -> "Kinematics":
         """The same for other tolerances and bounds. Raises ValueError for more."""
         same = machine.closure is self.machine.closure
         if not same or not np.array_equal(machine.nominal, self.machine.nominal):
@@ -222,7 +220,7 @@ class Kinematics:
         shared.machine = machine
         return shared
 
-    def with_controller(self, controller: Controller | None) -> Kinematics:
+    def with_controller(self, controller: Controller | None) -> "Kinematics":
         """The same machine under a controller; None: one with nominal parameters."""
         shared = copy.copy(self)
         shared.controller = controller

@@ -12,8 +12,6 @@ and C remaining = 0. The joints of a redundant machine are not determined by C X
 dq_m is the slope of those at which all its equations hold, as in `Kinematics.inverse`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -80,7 +78,7 @@ class ErrorModel:
         command: Array,
         tool: Array = NO_TOOL,
         parameters: Array | None = None,
-    ) -> ErrorModel:
+    ) -> "ErrorModel":
         """Error model at commands (n, n_dof), SI.
 
         parameters  (np,) of the machine about which it holds; nominal by default

@@ -9,8 +9,6 @@ where the bracket comes first: one row a reading, and not one column a parameter
 pose that many readings see, as a taught one, dx/dp comes first.
 """
 
-from __future__ import annotations
-
 import functools
 
 import casadi as ca
@@ -93,7 +91,7 @@ class PoseSlopes:
             return False
         return bool(np.all(condition < 1.0 / SINGULAR_BELOW))
 
-    def adjoints(self, x: Array, q: Array, p: Array) -> PoseAdjoints:
+    def adjoints(self, x: Array, q: Array, p: Array) -> "PoseAdjoints":
         """Those of poses x (m, poses, nx) with joints q (m, poses, nq), p (m, np)."""
         return PoseAdjoints(self, x, q, p)
 

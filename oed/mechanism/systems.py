@@ -5,8 +5,6 @@ Every number is computed as `newton.h`, `adjoint.h` and `elimination.h` of
 functions take over at any time, and no digit changes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -49,7 +47,7 @@ class Factors(NamedTuple):
     entries: Array  #: (k, k, n): L below, U above, one over U's diagonal on it
     order: Index  #: (k, n) rows of the matrix, in the order of the factors'
 
-    def of(self, chosen: Mask) -> Factors:
+    def of(self, chosen: Mask) -> "Factors":
         """Those of the chosen matrices."""
         if chosen.all():
             return self

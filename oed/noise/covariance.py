@@ -6,8 +6,6 @@ all of them are differences from). Then the covariance has a root in linear time
 (`oed.noise.factor`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -24,7 +22,7 @@ class Noise:
     sigma: Array  #: (N,) marginal standard deviations
 
     @staticmethod
-    def of(noise: Noise | Array) -> Noise:
+    def of(noise: "Noise | Array") -> "Noise":
         """Standard deviations (N,) as independent noise; a Noise as it is."""
         if isinstance(noise, Noise):
             return noise
@@ -56,11 +54,11 @@ class Noise:
         flat = values.reshape(-1, values.shape[-1])
         return self.whiten(flat.T).T.reshape(values.shape)
 
-    def scaled(self, factor: float) -> Noise:
+    def scaled(self, factor: float) -> "Noise":
         """The same noise times a factor."""
         return self if factor == 1.0 else Noise(self.sigma * factor)
 
-    def split_common(self) -> tuple[Noise, Array]:
+    def split_common(self) -> "tuple[Noise, Array]":
         """Noise independent between runs, and what all share (N, k), SI."""
         return self, np.zeros((len(self.sigma), 0))
 
@@ -81,7 +79,7 @@ class FactoredNoise(Noise):
     factor: LinearFactor | WideFactor = dataclasses.field(kw_only=True)
 
     @classmethod
-    def of_errors(cls, sigma: Array, parts: Sequence[Errors]) -> FactoredNoise:
+    def of_errors(cls, sigma: Array, parts: Sequence[Errors]) -> "FactoredNoise":
         """Noise of readings whose errors follow one another, sets apart independent."""
         return cls(sigma, factor=LinearFactor(joined(parts)))
 

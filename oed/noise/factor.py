@@ -19,8 +19,6 @@ E the variances of single readings, has the form of a banded part again; A is wh
 segments share.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -153,21 +151,21 @@ class LinearFactor:
         explained: Array = (shared**2).sum(axis=1)
         return _unordered(errors.order, diagonal) - explained
 
-    def scaled(self, factor: float) -> LinearFactor:
+    def scaled(self, factor: float) -> "LinearFactor":
         """The root of errors times a factor."""
         errors = self.errors
         return LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
 
-    def widened(self, columns: Array) -> WideFactor:
+    def widened(self, columns: Array) -> "WideFactor":
         """Root of the covariance and G G^T, for columns G (N, k) that all readings share."""
         return WideFactor(self, columns)
 
-    def hold_out(self, numbers: Index) -> Innovations:
+    def hold_out(self, numbers: Index) -> "Innovations":
         """Innovations of readings (h,), by number, given all others."""
         return Innovations(self, self._chains, numbers)
 
     @functools.cached_property
-    def _chains(self) -> Chains:
+    def _chains(self) -> "Chains":
         return Chains(self.errors)
 
 
@@ -230,7 +228,7 @@ class WideFactor:
             absorbed += (back**2).sum(axis=1)
         return np.maximum(alone - absorbed, PRECISION_TOLERANCE * alone)
 
-    def scaled(self, factor: float) -> WideFactor:
+    def scaled(self, factor: float) -> "WideFactor":
         """The root of errors times a factor."""
         return WideFactor(self.alone.scaled(factor), factor * self._columns)
 
@@ -278,7 +276,7 @@ def _unordered(order: Index, ordered: Array) -> Array:
 class Innovations:
     """Innovations of held-out readings among all, of a factor of their covariance."""
 
-    def __init__(self, factor: LinearFactor, chains: Chains, numbers: Index) -> None:
+    def __init__(self, factor: LinearFactor, chains: "Chains", numbers: Index) -> None:
         """Factor the precision of the readings with these numbers (h,)."""
         errors = factor.errors
         row_of = np.empty(len(errors.order), dtype=np.intp)

@@ -12,8 +12,6 @@ instrument and study state. The course of the session goes through all runs
 (`oed.measurement.noise_structure`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -76,12 +74,12 @@ class Laws:
         kinds = (self.level, ones, self.seat, self.stated_level, self.stated_seat)
         return np.stack(kinds, axis=1)
 
-    def take(self, rows: Index | slice | list[int]) -> Laws:
+    def take(self, rows: Index | slice | list[int]) -> "Laws":
         """The laws of these rows."""
         fields = dataclasses.fields(self)
         return Laws(*(getattr(self, field.name)[rows] for field in fields))
 
-    def batches(self, numbers: int) -> list[Laws]:
+    def batches(self, numbers: int) -> "list[Laws]":
         """Laws in parts whose arrays fit into memory: `numbers` of one law."""
         step = max(1, BATCH_SIZE // numbers)
         return [self.take(slice(k, k + step)) for k in range(0, len(self), step)]
@@ -89,7 +87,7 @@ class Laws:
     @classmethod
     def stated(
         cls, structure: ReadingStructure, count: int = 1, scale: float = 1.0
-    ) -> Laws:
+    ) -> "Laws":
         """The stated noise, `count` times, single readings with a scale."""
         zero = np.zeros(count)
         statement = structure.statement
@@ -101,11 +99,11 @@ class Laws:
             seat=zero,
         )
 
-    def whitening(self, structure: ReadingStructure) -> Whitening:
+    def whitening(self, structure: ReadingStructure) -> "Whitening":
         """Readings of a structure under all laws."""
         return Whitening(structure, self)
 
-    def noise(self, structure: ReadingStructure) -> LawNoise:
+    def noise(self, structure: ReadingStructure) -> "LawNoise":
         """Noise of readings under the first law, SI."""
         law = self.take([0])
         shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2

@@ -5,8 +5,6 @@ channel of a run. Errors may be common to a chain, follow each other along it, o
 from a set-up unknown that a run seats anew (a magnetic cup, ISO 230-4).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import functools
@@ -147,7 +145,7 @@ class ReadingStructure:
         run = self.run[self.chain]
         return tuple(np.flatnonzero(run == number) for number in np.unique(run))
 
-    def rescaled(self, sigma: Array) -> ReadingStructure:
+    def rescaled(self, sigma: Array) -> "ReadingStructure":
         """The structure of readings that are divided by noises sigma (N,), SI."""
         decouple = self.decouple
         if decouple is not None:

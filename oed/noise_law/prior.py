@@ -7,8 +7,6 @@ correlated along it; where nothing is stated, their priors are wide and reach do
 A stated amount is the middle of a narrow prior, and 0 takes the part out of the model.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 
@@ -89,7 +87,7 @@ class NoisePrior:
     is_sparse: bool = False
 
     @classmethod
-    def of(cls, structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
+    def of(cls, structure: ReadingStructure, freedom: float = np.inf) -> "NoisePrior":
         """The prior that goes with readings of a structure.
 
         freedom  readings beyond the unknowns. Where an assumed noise has few for each
@@ -133,11 +131,11 @@ class NoisePrior:
         """Number of coordinates."""
         return len(self.names)
 
-    def sparse(self) -> NoisePrior:
+    def sparse(self) -> "NoisePrior":
         """The prior for questions of cause."""
         return dataclasses.replace(self, is_sparse=True)
 
-    def without(self, name: str) -> NoisePrior:
+    def without(self, name: str) -> "NoisePrior":
         """The prior with a part taken out of the model."""
         names = tuple(n for n in self.names if n != name)
         return dataclasses.replace(self, names=names)

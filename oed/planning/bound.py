@@ -21,8 +21,6 @@ criterion at any L, log phi(L') <= v + log <R R^T, L'>, this gives
 with gains g_i = |(x_i - z_i G_s) R|^2, times c_i and the budget B.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -52,7 +50,7 @@ OUTSIDE_SHARE = 0.5  #: weight of the candidates of options that are not in a re
 class CombinationBound:
     """The options of a planning problem with their bounds."""
 
-    parts: tuple[OptionBound, ...]
+    parts: "tuple[OptionBound, ...]"
     mounting: Array  #: (options,) time to mount each, s
     goal: Goal
     information: Array  #: (n, n) about the machine before
@@ -61,7 +59,7 @@ class CombinationBound:
     @classmethod
     def of(
         cls, options: Sequence[Option], goal: Goal, information: Array, budget: float
-    ) -> CombinationBound:
+    ) -> "CombinationBound":
         """The bound for a catalogue of options."""
         return cls(
             parts=tuple(OptionBound.of(o, len(information)) for o in options),
@@ -84,7 +82,7 @@ class CombinationBound:
         return dict(zip(members, np.split(weights, ends), strict=True))
 
     def _settle_prices(
-        self, parts: Sequence[OptionBound], rows: Array, base: Array, time: float
+        self, parts: "Sequence[OptionBound]", rows: Array, base: Array, time: float
     ) -> Array:
         """Best weights of all candidates, within the time and each option's number.
 
@@ -150,7 +148,7 @@ class CombinationBound:
         return np.vstack([*rows, np.zeros(len(prices))]), prices
 
 
-def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
+def _joint_rows(parts: "Sequence[OptionBound]", n: int) -> Array:
     """Rows (C, k, w) of all candidates over machine and all set-ups' parameters."""
     width = n + sum(part.setup.shape[2] for part in parts)
     height = max(part.machine.shape[1] for part in parts)
@@ -178,7 +176,7 @@ class OptionBound:
     limit: int  #: largest number of candidates in a plan
 
     @classmethod
-    def of(cls, option: Option, n: int) -> OptionBound:
+    def of(cls, option: Option, n: int) -> "OptionBound":
         """An option whose readings are lost to its set-up's unknowns alone."""
         probability = capture_probability_bound(option, np.zeros((n, n)))
         weights = np.sqrt(probability)[:, None, None]

@@ -10,8 +10,6 @@ A machine loses readings because it is far off. Its error is then larger than it
 covariance says, and decides about later losses and about accuracy.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -44,7 +42,7 @@ class Knowledge:
         """Number of parameters n."""
         return int(self.covariances.shape[1])
 
-    def repeat(self, times: int) -> Knowledge:
+    def repeat(self, times: int) -> "Knowledge":
         """The same knowledge with every machine repeated in place."""
         errors = self.errors
         if errors is not None:

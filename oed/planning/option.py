@@ -4,8 +4,6 @@ An instrument with travel (a ball bar: +-1 mm) reads a machine only while the ma
 close to where the controller believes it to be.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -130,7 +128,7 @@ class Option:
         """Position of each reading's first channel among all numbers."""
         return np.cumsum(self._channels) - self._channels
 
-    def without_effects(self) -> Option:
+    def without_effects(self) -> "Option":
         """The same measurement of a machine without effects beside the geometry."""
         pool = Candidates.build(
             self.measurement,

@@ -4,8 +4,6 @@ A stage's readings are selected by greedy choice and exchange. Each candidate's
 information is weighted with the probability that it is captured.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 
@@ -53,7 +51,7 @@ class PlanStreams:
     verification: Callable[[int], np.random.Generator]
 
     @classmethod
-    def seeded(cls, seed: int | Sequence[int]) -> PlanStreams:
+    def seeded(cls, seed: int | Sequence[int]) -> "PlanStreams":
         """The streams of one search; the seed is for the first look at partial plans.
 
         The others do not follow it. All searches of a study (other budgets, other stages,
@@ -89,7 +87,7 @@ class StageMemory:
         self._stages: dict[Key, tuple[PlanStage | None, PlanStage]] = {}
 
     def recall(
-        self, plan: StagePlan, option: Option, chosen: Index, draws: int
+        self, plan: "StagePlan", option: Option, chosen: Index, draws: int
     ) -> PlanStage | None:
         """The stage after `plan` with the chosen candidates; None where it is new.
 
@@ -99,7 +97,7 @@ class StageMemory:
         entry = self._stages.get(_key(plan, option, chosen, draws))
         return None if entry is None else entry[1]
 
-    def store(self, plan: StagePlan, stage: PlanStage, draws: int) -> None:
+    def store(self, plan: "StagePlan", stage: PlanStage, draws: int) -> None:
         """Remember the stage after `plan`."""
         before = plan.stages[-1] if plan.stages else None
         # with the stage before, so that its identity stays its own
@@ -107,7 +105,7 @@ class StageMemory:
         self._stages[key] = before, stage
 
 
-def _key(plan: StagePlan, option: Option, chosen: Index, draws: int) -> Key:
+def _key(plan: "StagePlan", option: Option, chosen: Index, draws: int) -> Key:
     before = plan.stages[-1] if plan.stages else None
     return id(before), id(option), draws, np.sort(chosen).tobytes()
 

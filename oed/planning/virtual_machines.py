@@ -13,8 +13,6 @@ the true and the believed machine,
 compared with the covariance S' that the plan predicts after the stage.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -199,7 +197,7 @@ def refit_machines(
     ]
 
 
-def _refits(problem: _CapturedReadings, z: Array) -> list[Refit | None]:
+def _refits(problem: "_CapturedReadings", z: Array) -> list[Refit | None]:
     """Fits of all machines from z (m, k); None where one does not converge."""
     minima = minimise(problem, z, precision=NEAR_STEP)
     theta = problem.theta(np.arange(len(z)), minima.z)
@@ -212,7 +210,7 @@ def _refits(problem: _CapturedReadings, z: Array) -> list[Refit | None]:
 
 
 def _refit_alone(
-    problem: _CapturedReadings,
+    problem: "_CapturedReadings",
     machine: int,
     series: Sequence[Series],
     z: Array,
@@ -343,7 +341,7 @@ class WorkspaceErrors:
     @classmethod
     def of(
         cls, measurement: Measurement, command: Array, reference: Reference
-    ) -> WorkspaceErrors:
+    ) -> "WorkspaceErrors":
         """Errors of a measurement's machine at commands (n, n_dof), SI."""
         kinematics = measurement.kinematics
         machine = kinematics.machine

@@ -20,8 +20,6 @@ libraries python-fcl and coal give the same distances, to 2e-15 m, but take one 
 call: 100,000 pairs last 14 and 10 times as long. coal also lacks wheels for Windows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -301,7 +299,7 @@ class ReadingLimits:
         bar: float | None,
         margin: float,
         ignore: Sequence[int],
-    ) -> ReadingLimits:
+    ) -> "ReadingLimits":
         """Those limits that apply to a set-up; lengths m, angles rad.
 
         Cones and bar count where the set-up has a cup, the travel where its instrument
@@ -337,7 +335,7 @@ class ReadingLimits:
             surroundings=surroundings,
         )
 
-    def check(self, measurement: Measurement, series: Series) -> Feasibility:
+    def check(self, measurement: Measurement, series: Series) -> "Feasibility":
         """Which readings of a series can be taken on the nominal machine.
 
         A reading may depend on a second pose (teach, reference of the run). This pose must

@@ -16,8 +16,6 @@ together, by exchange (Fedorov, Theory of Optimal Experiments, 1972, chapter 3),
 one among them that gains most by itself is taken first.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -40,7 +38,7 @@ class Belief:
     weights: Array
 
     @classmethod
-    def build(cls, covariance: Array, factors: Array) -> Belief:
+    def build(cls, covariance: Array, factors: Array) -> "Belief":
         """With the weights of each component's combinations `factors` (K, r, n)."""
         return cls(covariance, factors.swapaxes(1, 2) @ factors)
 
@@ -49,7 +47,7 @@ class Belief:
         """Variance (K,) of each component."""
         return np.tensordot(self.weights, self.covariance, axes=2)
 
-    def after(self, block: Array) -> Belief:
+    def after(self, block: Array) -> "Belief":
         """The belief after a candidate (k, n) is read."""
         gain = self.covariance @ block.T
         spread = np.eye(len(block)) + block @ gain
@@ -72,7 +70,7 @@ class Belief:
         fall = np.column_stack(falls).reshape(count, rows, -1).sum(axis=1)
         return np.asarray(self.variances - fall)
 
-    def update_all(self, blocks: Array, indices: Sequence[int]) -> Belief:
+    def update_all(self, blocks: Array, indices: Sequence[int]) -> "Belief":
         """The belief after several candidates, in one update."""
         if not len(indices):
             return self

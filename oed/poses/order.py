@@ -17,8 +17,6 @@ time between two reference readings, those with the least travel are taken, by d
 programming along the path (Prins 2004, Comput. Oper. Res. 31, 1985-2002, section 3).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -50,7 +48,7 @@ class Schedule:
 
 
 def interleave(
-    path: Route,
+    path: "Route",
     reading: ArrayLike,
     every: float,
     to_reference: Array,
@@ -86,7 +84,7 @@ def interleave(
 class _TimedPath:
     """A path with the seconds of each place."""
 
-    path: Route
+    path: "Route"
     reading: Array  #: (n,) of the readings
     out: Array  #: (n,) from the reference
     back: Array  #: (n,) to the reference
@@ -356,7 +354,7 @@ class RunStates:
         start: Array | None,
         runs: list[list[int]],
         reversible: bool,
-    ) -> RunStates:
+    ) -> "RunStates":
         """States of runs of poses; arguments as for `order.order_poses`."""
         members, numbers, flip = [np.zeros(0, np.intp)], [-1], [0]
         for number, run in enumerate(runs):
@@ -494,7 +492,7 @@ class _ClosedPath(NamedTuple):
     backwards: Array
 
     @classmethod
-    def of(cls, tour: Index, states: RunStates) -> _ClosedPath:
+    def of(cls, tour: Index, states: RunStates) -> "_ClosedPath":
         """The path (n,) of states."""
         closed = np.concatenate([[0], tour, [0]])
         flipped = states.flip[closed]
@@ -580,7 +578,7 @@ class ReadingOrder:
         *,
         from_home: bool,
         keeps_runs: bool,
-    ) -> ReadingOrder:
+    ) -> "ReadingOrder":
         """The readings of one set-up by short joint travel; those of a run stay together.
 
         speeds      of the joints, SI

@@ -11,8 +11,6 @@ where the noise is large: the law is drawn first, from kernels at laws that are 
 and the parameters from the Student t that the linear model has under this law.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
@@ -102,7 +100,7 @@ class Proposals:
     drawn: int  #: proposals, with those of density 0
 
     @classmethod
-    def empty(cls, target: LogDensity) -> Proposals:
+    def empty(cls, target: LogDensity) -> "Proposals":
         """No proposal yet."""
         points = np.zeros((0, target.dimensions))
         return cls(points, target.place(points, None)[1], np.zeros(0), 0)
@@ -113,7 +111,7 @@ class Proposals:
         proposal: Proposal,
         rng: np.random.Generator,
         count: int,
-    ) -> Proposals:
+    ) -> "Proposals":
         """These and `count` more. Raises KeyboardInterrupt."""
         points, log_density = proposal.draw(rng, count)
         w = target.draw_lost(rng, len(points))

@@ -1,7 +1,5 @@
 """Accuracy in result.json: predicted with its budget, forecast, adjusted, accepted."""
 
-from __future__ import annotations
-
 import bisect
 from typing import Annotated, ClassVar, Literal
 
@@ -240,7 +238,7 @@ class UsualEffects(Record, frozen=True):
     fitted: dict[str, float]
     #: where all are fitted so, and a controller is sent parameters alone; `known`:
     #: corrected with them. Absent from results of earlier versions
-    components: dict[str, ComponentAccuracy] = {}
+    components: "dict[str, ComponentAccuracy]" = {}
 
 
 class BudgetSection(Record, frozen=True):

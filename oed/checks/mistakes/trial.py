@@ -1,7 +1,5 @@
 """A mistake that readings may have, and the session as it would be without it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -79,7 +77,7 @@ class MistakeTrial:
     parts: Mask | None = None
     noise: Array | None = None  #: factors (N,) on the stated noise
     #: the same mistake in other readings; None where it has one scope
-    on: OnScope | None = None
+    on: "OnScope | None" = None
 
     def undo(self, amounts: Array) -> Sequence[SessionReadings]:
         """Sessions without the mistake: one, or several of machines apart."""

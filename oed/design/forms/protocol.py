@@ -15,8 +15,6 @@ carry all design methods:
   (`oed.design.objective`).
 """
 
-from __future__ import annotations
-
 import abc
 from typing import Any, NamedTuple
 
@@ -130,36 +128,36 @@ class Criterion(abc.ABC):
 
     # -- other criteria that follow from it --------------------------------------------
     @abc.abstractmethod
-    def restrict(self, basis: Array) -> Criterion:
+    def restrict(self, basis: Array) -> "Criterion":
         """The same criterion of B^T M B, for an orthonormal basis B (n, r)."""
 
-    def profile_others(self, columns: Index, total: int) -> Criterion:
+    def profile_others(self, columns: Index, total: int) -> "Criterion":
         """The criterion of some of `total` columns. Raises ValueError."""
         raise ValueError(f"{self.name} does not profile out other columns")
 
-    def continuation(self) -> tuple[Criterion, ...]:
+    def continuation(self) -> "tuple[Criterion, ...]":
         """Criteria that approach this one, the smoothest first and itself last."""
         return (self,)
 
-    def restrict_to_rows(self, rows: Array) -> tuple[Criterion, Array]:
+    def restrict_to_rows(self, rows: Array) -> "tuple[Criterion, Array]":
         """The criterion over the directions (n, r) that rows (N, n) determine, and these."""
         basis = project_on_estimable(rows[:, None], None)[1]
         return self.restrict(basis), basis
 
     @property
-    def guides(self) -> tuple[Criterion, ...]:
+    def guides(self) -> "tuple[Criterion, ...]":
         """Criteria that lead a search to this one, the smoothest first."""
         return self.continuation()
 
     @property
-    def relaxed(self) -> Criterion:
+    def relaxed(self) -> "Criterion":
         """The criterion, or the last one of its continuation that has a relaxation."""
         steps = (*self.continuation(), self)
         return [step for step in steps if step.concave and step.smooth][-1]
 
     # -- methods of its own ------------------------------------------------------------
     @property
-    def polished(self) -> Criterion | None:
+    def polished(self) -> "Criterion | None":
         """The criterion with an `expression` to polish poses by; None without one."""
         return None
 

@@ -14,8 +14,6 @@ prior; its constants have the most absorbing of their values. Source: Box and Hi
 Atkinson and Fedorov 1975 (T-optimality); Bjorck and Golub 1973 (principal angles).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
@@ -202,7 +200,7 @@ class RemainingForms:
             padded[k, : axes.shape[1]] = axes.T
         return padded
 
-    def traces_left_by(self, rival: RemainingForms) -> Array:
+    def traces_left_by(self, rival: "RemainingForms") -> Array:
         """Traces (F, F') of what each form of a rival leaves of each form."""
         absorbed = np.empty((len(self.forms), len(rival.forms)))
         most = max(len(half) for half in rival.absorbing)
@@ -216,7 +214,7 @@ class RemainingForms:
             absorbed[:, first : first + step] = of_both.T
         return np.array([[np.trace(gram)] for gram in self.grams]) - absorbed
 
-    def smallest_angle(self, rival: RemainingForms) -> float:
+    def smallest_angle(self, rival: "RemainingForms") -> float:
         """Smallest principal angle, deg, of any form with any of a rival; 90 without any."""
         ours, theirs = self.padded_axes, rival.padded_axes
         of_ours = ours.reshape(-1, ours.shape[2])

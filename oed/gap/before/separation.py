@@ -17,8 +17,6 @@ n the parameters: T-optimality with the parameters profiled out (Atkinson and Fe
 1975), compounded with D.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -52,7 +50,7 @@ class Target:
         """Effect, rival and combination, whatever the rival's form."""
         return self.form.effect, self.rival.effect, self.words
 
-    def among(self, columns: Index) -> Target:
+    def among(self, columns: Index) -> "Target":
         """The target with its columns numbered among some (k,), ascending."""
         form, rival = (
             dataclasses.replace(one, at=np.searchsorted(columns, one.at))
@@ -163,7 +161,7 @@ class Separation(Objective):
         """The compound, smoothed."""
         return float(self.worth(self.at(active, weights), self.sharp))
 
-    def smoothed(self, cost: Array | None, sharp: float) -> Separation:
+    def smoothed(self, cost: Array | None, sharp: float) -> "Separation":
         """The objective over weights, or over their costs (C,), at a sharpness."""
         grams = self.grams if cost is None else self.grams / cost[:, None, None]
         return dataclasses.replace(self, grams=grams, sharp=sharp)
@@ -228,11 +226,11 @@ class Separation(Objective):
             curvatures.append(2.0 * u @ inverse @ u.T / lam + np.outer(slope, slope))
         return np.array(logs), np.array(slopes), np.array(curvatures)
 
-    def subset(self, chosen: Index) -> Separation:
+    def subset(self, chosen: Index) -> "Separation":
         """Over some of the candidates only."""
         return dataclasses.replace(self, grams=self.grams[chosen])
 
-    def with_targets(self, numbers: Sequence[int]) -> Separation:
+    def with_targets(self, numbers: Sequence[int]) -> "Separation":
         """Of some of the targets only, over the columns that these have."""
         targets = [self.targets[k] for k in numbers]
         sets = [columns.at for t in targets for columns in (t.form, t.rival)]
@@ -281,6 +279,6 @@ class SeparationEvaluator(PlanEvaluator):
         m = self.separation.of(chosen) + self.separation.grams
         return self.separation.worth(m, EXCHANGE_LEVELS[level])
 
-    def subset(self, pool: Index) -> SeparationEvaluator:
+    def subset(self, pool: Index) -> "SeparationEvaluator":
         """Over some of the candidates."""
         return SeparationEvaluator(self.separation.subset(pool))

@@ -15,8 +15,6 @@ the noise level integrated over its prior about the stated one, inverse gamma (a
 is the lack-of-fit test of a regression, with the stated noise as a further reference.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -84,7 +82,7 @@ class Energies:
         return float(np.sqrt(variance / (self.pure / self.pure_freedom)))
 
 
-def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
+def energies(problem: GapProblem, law: NoiseLaw, again: "Replicates") -> Energies:
     """Energies of the residuals, whitened by a law."""
     pure, pure_freedom = again.energy(problem, law)
     factor = law.factor(problem.structure)

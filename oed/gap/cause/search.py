@@ -7,8 +7,6 @@ the sum over all combinations is taken about the best one: with a* the best form
         + sum_i ( log sum_a_i w(a_i) p(r | a_i, a*_others) - log p(r | a*) ).
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools
@@ -96,7 +94,7 @@ class Hypothesis:
         atoms = self.atoms[:i] + self.atoms[i + 1 :]
         return atoms, self.sizes[:i] + self.sizes[i + 1 :]
 
-    def with_form(self, part: int, form: int, size: float) -> Hypothesis:
+    def with_form(self, part: int, form: int, size: float) -> "Hypothesis":
         """The same with another form of one part, an effect or the remainder."""
         if part == len(self.effects):
             return dataclasses.replace(self, process=form, process_size=size)
@@ -188,7 +186,7 @@ class FormProducts:
         return self.in_question.take(self.place(columns))
 
     @functools.cached_property
-    def remainders(self) -> Remainders:
+    def remainders(self) -> "Remainders":
         """The processes that an unknown remainder may be."""
         processes = self._processes
         choices = [atom.columns for atom in processes.atoms]
@@ -204,7 +202,7 @@ class FormProducts:
         """
         return self.remainders.log_evidences(alone, *self._taken(selected))
 
-    def best_remainder(self, alone: Grams, selected: Selected) -> Remainder:
+    def best_remainder(self, alone: Grams, selected: Selected) -> "Remainder":
         """The best process and size; arguments as of `log_remainders`."""
         table = self.log_remainders(alone, selected)
         row, column = np.unravel_index(int(np.argmax(table)), table.shape)
@@ -417,7 +415,7 @@ class Search:
         self._forms.release()
         self._posteriors.clear()
 
-    def with_weight(self, log_prior: float) -> Search:
+    def with_weight(self, log_prior: float) -> "Search":
         """The same search with another log prior of its noise law."""
         other = copy.copy(self)
         change = log_prior - self.log_prior

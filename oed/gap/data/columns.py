@@ -4,8 +4,6 @@ Forms on several carriers, with several factors, share their values: a block of 
 is weights times values, of which one array serves many blocks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -26,7 +24,7 @@ class Block:
     values: Array
 
     @classmethod
-    def of(cls, columns: Array, weights: Array | None = None) -> Block:
+    def of(cls, columns: Array, weights: Array | None = None) -> "Block":
         """Columns (N, k), times weights (N, 1) if there are any."""
         weights = np.ones((1, 1)) if weights is None else weights
         return cls(weights, columns[:, None])
@@ -88,7 +86,7 @@ class Columns:
             blocks.append(Block(factor * block.weights, values))
         return blocks
 
-    def first_rows(self, count: int) -> Columns:
+    def first_rows(self, count: int) -> "Columns":
         """The columns at the first rows alone."""
         blocks = [Block(b.weights[:count], b.values[:count]) for b in self.blocks]
         return Columns(count, blocks)

@@ -12,8 +12,6 @@ variances scale with it. The Schur complement takes out columns selected before,
 each step of a search is of this form again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Sequence
 
@@ -57,7 +55,7 @@ class Grams:
     size: int  #: number of readings
     base: float  #: log evidence of no further column
 
-    def take(self, columns: Index) -> Grams:
+    def take(self, columns: Index) -> "Grams":
         """Grams of some of the columns."""
         return dataclasses.replace(
             self,
@@ -66,7 +64,7 @@ class Grams:
             whole=self.whole[columns],
         )
 
-    def select(self, columns: Index, size: float) -> Grams:
+    def select(self, columns: Index, size: float) -> "Grams":
         """Grams with `columns` in the model, their coefficients N(0, size^2)."""
         if not len(columns):
             return self
@@ -104,7 +102,7 @@ class Grams:
             projected.append(along)
         return np.vstack(taken), np.concatenate(projected)
 
-    def project_out(self, columns: Index, size: float = USUAL_SIZE) -> Grams:
+    def project_out(self, columns: Index, size: float = USUAL_SIZE) -> "Grams":
         """Grams without what `columns` of unbounded coefficients can explain."""
         if not len(columns):
             return self
@@ -121,7 +119,7 @@ class Grams:
         least = ENERGY_TOLERANCE * self.whole[columns].max()
         return _clear_directions(self.gram[np.ix_(columns, columns)], least)
 
-    def _without(self, columns: Index, root: Array) -> Grams:
+    def _without(self, columns: Index, root: Array) -> "Grams":
         """Grams less what combinations `root` (k, m) of some columns take."""
         half = root.T @ self.gram[columns]
         projected = root.T @ self.b[columns]
@@ -229,7 +227,7 @@ class GramAxes:
     axes: Array  #: (a, d, d) columns; 0 where they are rounding
 
     @classmethod
-    def of(cls, gram: Array, least: Array) -> GramAxes:
+    def of(cls, gram: Array, least: Array) -> "GramAxes":
         """Of Gram matrices (a, d, d); directions of less energy than `least` are none."""
         energy, axes = np.linalg.eigh(gram)
         clear = energy > least[:, None]

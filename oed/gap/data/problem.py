@@ -10,8 +10,6 @@ Whatever value of theta the fit ended at, Lambda takes out what the parameters c
 explain, not the fit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -57,7 +55,7 @@ class Signature:
     shape: Mask  #: (k,) which columns only let the form adapt
     textbook: float  #: prior share of the form without these
 
-    def take(self, chosen: Mask) -> Signature:
+    def take(self, chosen: Mask) -> "Signature":
         """The signature of the chosen (k,) columns alone."""
         numbers = np.flatnonzero(chosen)
         return dataclasses.replace(
@@ -333,23 +331,23 @@ class GapProblem:
         trailing = [1] * (values.ndim - 1)
         return values / self.sigma.reshape(-1, *trailing)
 
-    def about(self, theta: Array) -> GapProblem:
+    def about(self, theta: Array) -> "GapProblem":
         """The same readings at other parameters (n_all,), SI. Raises AssemblyError."""
         return self._assembled(theta, self.covariates)
 
-    def with_covariates(self, covariates: pd.DataFrame) -> GapProblem:
+    def with_covariates(self, covariates: pd.DataFrame) -> "GapProblem":
         """The same readings with other covariates, one row a reading of the series."""
         return self._assembled(self.theta, covariates)
 
-    def with_reversed_runs(self) -> GapProblem:
+    def with_reversed_runs(self) -> "GapProblem":
         """The same readings with the order of each run counted from its end."""
         return self.with_covariates(reversed_runs(self.covariates))
 
-    def _assembled(self, theta: Array, covariates: pd.DataFrame) -> GapProblem:
+    def _assembled(self, theta: Array, covariates: pd.DataFrame) -> "GapProblem":
         series, y, gravity = self.series, self.y, self.gravity
         return assemble(self.measurement, series, covariates, theta, y, gravity=gravity)
 
-    def with_residual(self, residual: Array) -> GapProblem:
+    def with_residual(self, residual: Array) -> "GapProblem":
         """The same readings with other residuals (N,), in units of the stated noise."""
         return dataclasses.replace(self, residual=residual)
 

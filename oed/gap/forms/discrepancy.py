@@ -7,8 +7,6 @@ direction of motion, the payload, the feed or a temperature. Each such term has 
 kernel at a few reaches, which the evidence sums over (`oed.base.field_modes`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
@@ -48,7 +46,7 @@ class Carrier:
         """Whether one of its columns may act without the others."""
         return len(self.labels) > 1 and all(self.labels)
 
-    def parts(self) -> list[Carrier]:
+    def parts(self) -> "list[Carrier]":
         """Each of its columns alone, or all of them where they belong together."""
         if not self.separable:
             return [self]
@@ -225,7 +223,7 @@ class Term:
         blocks = [part.block for part in self.parts]
         return any(bool(b.weights.any() and b.values.any()) for b in blocks)
 
-    def beside(self, other: Term, about: str) -> Term:
+    def beside(self, other: "Term", about: str) -> "Term":
         """The parts of two terms on the same carrier together."""
         parts = sorted([*self.parts, *other.parts], key=lambda part: part.column)
         return dataclasses.replace(self, about=about, parts=tuple(parts))

@@ -6,8 +6,6 @@ frequencies (Lomb's periodogram, in the metric that lets the parameters absorb f
 the strongest few stay, each with the prior weight of one among all that were tried.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -108,7 +106,7 @@ def _joined(
     return discrepancies.assembled(columns, atoms, labels)
 
 
-def peaks(precision: WavePrecision, band: Band) -> list[Wave]:
+def peaks(precision: "WavePrecision", band: Band) -> list[Wave]:
     """The strongest waves of a band on each of its carriers, refined in frequency."""
     step = float(np.ptp(band.frequencies[:2]))
     waves = []

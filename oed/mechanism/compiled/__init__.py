@@ -8,8 +8,6 @@ No product and sum become one operation, and sines are those of the C library: s
 digit is that of CasADi's interpreter (`oed.mechanism.tape`, `oed.mechanism.systems`).
 """
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import ctypes
@@ -79,7 +77,7 @@ class Compiler:
     identity: str  #: what changes with the compiler and the processor
 
 
-def compiled_text(text: str) -> CompiledText | None:
+def compiled_text(text: str) -> "CompiledText | None":
     """The functions of a C text; None where there is no compiler."""
     compiler = find_compiler(os.environ.get("PATH", ""))
     return None if compiler is None else _compiled_text(text, compiler, cache_folder())
