@@ -170,7 +170,7 @@ def _information(bench: Bench, full: Any, y: Array) -> MachineInformation:
     m, free = bench.measurement, bench.free
     fit = identify(m, [full], y)
     block = fit.covariance[np.ix_(free, free)]
-    return MachineInformation.of_posterior(
+    return MachineInformation.from_posterior(
         fit.theta[free], block, m.nominal[free], m.tolerance[free]
     )
 

@@ -135,7 +135,7 @@ def tool_shifts(
     for series, state in zip(problem.series, problem.states, strict=True):
         kinematics = bench.measurement.kinematics
         tool = np.array(bench.measurement.setups[series.setup].tool)
-        slopes = kinematics.slopes.over_parameters(
+        slopes = kinematics.slopes.parameter_slopes(
             state.pose, state.joints, problem.theta[:count]
         )
         frames = kinematics.frames(state.pose, tool)[2]

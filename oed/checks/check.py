@@ -40,7 +40,7 @@ def doubtful_conditions(session: SessionReadings) -> list[CheckFinding]:
     """Covariates outside the range that machines work at, by column and row."""
     findings = []
     frame = session.values.iloc[session.firsts]
-    for column in filter(None, map(ReadingsColumn.of_covariate, frame.columns)):
+    for column in filter(None, map(ReadingsColumn.from_covariate, frame.columns)):
         stem = column.stem
         limits = next((v for k, v in RANGES.items() if stem.startswith(k)), None)
         if limits is None:

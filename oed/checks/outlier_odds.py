@@ -397,7 +397,7 @@ class OutlierOdds:
         return float(special.logit(self.share))
 
     # -- which reading it is -----------------------------------------------------------
-    def of_location(self, members: Sequence[int]) -> dict[int, float]:
+    def location_odds(self, members: Sequence[int]) -> dict[int, float]:
         """Log odds of each suspect over all sets, of up to MOST or exchanged by
         one, without it.
         """
@@ -457,7 +457,7 @@ class OutlierOdds:
         return sets, np.concatenate(weights)
 
     # -- gross error or noise ----------------------------------------------------------
-    def of_gross_error(
+    def gross_error_odds(
         self, members: Sequence[int], *, rest_fits: bool
     ) -> dict[int, float]:
         """Log odds of a gross error, and not noise, for each suspected reading."""

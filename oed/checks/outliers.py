@@ -244,8 +244,8 @@ def _kinds(
     doubtful = []
     lost = []
     while gross:
-        where = odds.of_location(gross)
-        what = odds.of_gross_error(gross, rest_fits=rest_fits)
+        where = odds.location_odds(gross)
+        what = odds.gross_error_odds(gross, rest_fits=rest_fits)
         newly_lost = [k for k in gross if where[k] < np.log(LOCATED_ODDS)]
         noise = [
             k for k in gross if what[k] < np.log(GROSS_ODDS) and k not in newly_lost

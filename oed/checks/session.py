@@ -281,7 +281,7 @@ def session_readings(
 
 def _is_used(name: str) -> bool:
     """Whether checks look at a column of the covariates."""
-    return name == "order" or ReadingsColumn.of_covariate(name) is not None
+    return name == "order" or ReadingsColumn.from_covariate(name) is not None
 
 
 # Predicted range of every reading under the tolerances and the stated noise.

@@ -87,7 +87,7 @@ class GridAxis:
         )
 
     @staticmethod
-    def of_box(machine: Machine, command: Array) -> "tuple[GridAxis, ...]":
+    def box_axes(machine: Machine, command: Array) -> "tuple[GridAxis, ...]":
         """Axes of the box of commands (n, n_dof), SI.
 
         An angle after which the pose repeats is a full turn, if the commands lie round it:
@@ -215,7 +215,7 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     machine = kinematics.machine
     driven = [k for k, c in enumerate(machine.components) if c.compensatable]
     x, q = kinematics.inverse(command)
-    by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
+    by_joint = kinematics.slopes.joint_slopes(x, q, machine.nominal)
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
     motion_per_target = kinematics.error_components_jacobian(command)
     return (motion_per_target @ twist)[:, driven]

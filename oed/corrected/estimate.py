@@ -546,6 +546,6 @@ def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
     for form in corrected.forms:
         signature = problem.signature(form.effect, form.constants)
         columns = signature.columns_of(form.signature.names)
-        parts.append(problem.in_noise_units(columns))
+        parts.append(problem.noise_units(columns))
     sizes = corrected.measurement.tolerance[corrected.parameters :]
     return np.hstack(parts) * sizes

@@ -70,7 +70,7 @@ def _best_form(
     others: Sequence[ChosenForm],
 ) -> ChosenForm | None:
     """The form of one effect of highest evidence, next to others; None without any."""
-    parts = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
+    parts = [problem.noise_units(f.signature.columns * f.size) for f in others]
     fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
     grid = effect.constant_grid()
     textbook = len(grid) > MAX_FULL_GRID
@@ -80,7 +80,7 @@ def _best_form(
         signature = problem.signature(effect, constants, textbook=textbook)
         if not signature.names:
             continue
-        columns = problem.in_noise_units(signature.columns)
+        columns = problem.noise_units(signature.columns)
         values = evidence.of_sizes(fixed, columns, problem.residual)
         if values.max() > best_value:
             best_value = float(values.max())

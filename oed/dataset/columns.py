@@ -158,7 +158,7 @@ class ReadingsColumn:
         return cls(f"{stem}_{unit}", stem, si, factor)
 
     @classmethod
-    def of_covariate(cls, stem: str) -> "ReadingsColumn | None":
+    def from_covariate(cls, stem: str) -> "ReadingsColumn | None":
         """The column of a covariate, temperatures and tensions included; None of others."""
         if stem.startswith(TENSION):
             return cls.of(stem, "N")

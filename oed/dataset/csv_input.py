@@ -438,7 +438,7 @@ def _add_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
 def _covariates(rows: pd.DataFrame, files: pd.Series) -> pd.DataFrame:
     """Covariates of some rows, with the file of each where there are several."""
     columns = ["setup", "run", "order"]
-    columns += [c for c in rows.columns if ReadingsColumn.of_covariate(str(c))]
+    columns += [c for c in rows.columns if ReadingsColumn.from_covariate(str(c))]
     selected = rows[[*columns, ROW]].rename(columns={ROW: "row"})
     every = list(map(str, files.unique()))
     if len(every) > 1:
@@ -498,7 +498,7 @@ def _commands(
     outside = sorted({row for row, *_ in machine.out_of_range(command, tool)})
     if outside:
         # a tool beside the axis moves with the platform's turn
-        at_reference = measurement.kinematics.at_reference_tool(
+        at_reference = measurement.kinematics.reference_tool_commands(
             command[outside], np.array(tool)
         )
         name_of_range = f"workspace of {machine.name}"

@@ -313,7 +313,7 @@ def _rows(
         row = _labels(series.setup, run, order)
         row |= _pose(series, series.index[i, 0], layout)
         for stem, value in covariate.items():
-            column = ReadingsColumn.of_covariate(stem)
+            column = ReadingsColumn.from_covariate(stem)
             if column is not None:
                 row[column.name] = cell(value, column.unit)
         if layout.implied and np.isnan(values[i]).all():
@@ -361,7 +361,7 @@ def _rank(name: str, dataset: Dataset) -> tuple[int, int]:
         for c in layout.channels:
             names = c.name, f"{SIGMA}{c.name}"
             channels += [ReadingsColumn.of(name, c.unit).name for name in names]
-    stated = map(ReadingsColumn.of_covariate, dataset.covariates.columns)
+    stated = map(ReadingsColumn.from_covariate, dataset.covariates.columns)
     covariates = [column.name for column in stated if column is not None]
     groups = [list(REQUIRED), pose, covariates, channels]
     return next((i, g.index(name)) for i, g in enumerate(groups) if name in g)

@@ -143,7 +143,7 @@ class _Exchange:
     rules: Rules
 
     @property
-    def by_pairs(self) -> bool:
+    def exchanges_pairs(self) -> bool:
         """Whether all pairs are exchanged at once, instead of one candidate in turn."""
         return self.rules.sole_size is not None and self.evaluator.pair_pool > 0
 
@@ -157,7 +157,7 @@ class _Exchange:
         self, chosen: Index, level: int, sweeps: int = MAX_SWEEPS
     ) -> Index:
         """Exchanges until none helps, at one level."""
-        if self.by_pairs:
+        if self.exchanges_pairs:
             return self.evaluator.exchange_pairs(chosen, level, sweeps)
         for _ in range(sweeps):
             chosen, changed = self._sweep(chosen, level)
@@ -217,7 +217,7 @@ class _Restarts:
     def run(self, weights: Array, rounds: int, starts: Sequence[Index]) -> Index:
         """The best of given and drawn plans, then of changes of the best, improved."""
         weights = weights + 1e-4 * weights.sum() / len(weights)
-        if rounds and self.exchange.by_pairs:
+        if rounds and self.exchange.exchanges_pairs:
             return self._search_pairs(weights, rounds, starts)
         best = np.zeros(0, dtype=np.intp)
         best_value = -np.inf

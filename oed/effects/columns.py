@@ -19,7 +19,12 @@ import scipy
 from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
 from oed.effect_model import Column, Effect, State
-from oed.effects.effect_maps import ActingForm, SessionStates, effect_maps, in_session
+from oed.effects.effect_maps import (
+    ActingForm,
+    SessionStates,
+    effect_maps,
+    session_state,
+)
 from oed.estimation import Discrepancy
 from oed.gap import GapProblem, Signature
 from oed.linear_algebra import right_singular
@@ -188,7 +193,7 @@ class ExpectedColumns:
 
     def changes(self, problem: GapProblem, session: SessionStates) -> Array:
         """Changes (N, k) of other readings of the session per unit of each column, SI."""
-        states = tuple(in_session(s, session.states[0]) for s in problem.states)
+        states = tuple(session_state(s, session.states[0]) for s in problem.states)
         others = dataclasses.replace(problem, states=states)
         parts = []
         for form in self.forms:
@@ -356,7 +361,7 @@ def _groups_of(
                     displaced.append(tool[name])
                     coefficients.append((number, name))
         name = f"{effect.name}: {label}" if label else effect.name
-        changes = problem.in_noise_units(np.column_stack(readings))
+        changes = problem.noise_units(np.column_stack(readings))
         moved = share * np.column_stack(displaced)
         groups.append(
             _EffectGroup(name, unknown, share * changes, moved, coefficients, share)

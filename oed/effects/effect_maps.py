@@ -141,7 +141,7 @@ class SessionStates:
         )
         if "feed" not in self.used:
             state = _slowed(state, self.states)
-        return in_session(state, first)
+        return session_state(state, first)
 
 
 def _slowed(state: State, recorded: Sequence[State]) -> State:
@@ -165,7 +165,7 @@ def _slowed(state: State, recorded: Sequence[State]) -> State:
     )
 
 
-def in_session(state: State, first: State) -> State:
+def session_state(state: State, first: State) -> State:
     """The state with its place in a session, of which `first` is a state."""
     progress = state.session_progress
     low, high = first.session_span
@@ -210,7 +210,7 @@ def effect_maps(
     machine = kinematics.machine
     model = ErrorModel.of(kinematics, machine.and_home(command, tool), tool)
     tools = kinematics.frames(state.pose, tool)[2]
-    by_joint = tools @ kinematics.slopes.over_joints(
+    by_joint = tools @ kinematics.slopes.joint_slopes(
         state.pose, state.joints, parameters
     )
     raw, remaining = [], []

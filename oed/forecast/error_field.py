@@ -182,7 +182,7 @@ class JointErrors:
         """Twists (n, 6, q) per error of each joint; of the struts where they are stated."""
         kinematics, machine = self.kinematics, self.kinematics.machine
         x, q = kinematics.inverse(command)
-        by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
+        by_joint = kinematics.slopes.joint_slopes(x, q, machine.nominal)
         if machine.struts is not None:
             by_joint = by_joint * kinematics.struts(x, q, machine.nominal)[2][:, None]
         return np.asarray(kinematics.frames(x, NO_TOOL)[2] @ by_joint)

@@ -87,11 +87,11 @@ def explain(
         energy = float(metric.gram(signal[:, None], signal[:, None])[0, 0])
         detectability = float(np.sqrt(max(energy, 0.0))) / level
         rms = _rms_by_channel(problem, signal)
-        remaining = _rms_by_channel(problem, stated.after_fit(signal))
+        remaining = _rms_by_channel(problem, stated.fit_remainder(signal))
         sizes.append(Size(effect, rms, remaining, detectability))
     outlying = problem.residual - residual
-    before = stated.after_fit(residual) + outlying
-    after = stated.after_fit(residual - by_effects) + outlying
+    before = stated.fit_remainder(residual) + outlying
+    after = stated.fit_remainder(residual - by_effects) + outlying
     return Explained(
         constants=constants,
         coefficients=tuple(coefficients),

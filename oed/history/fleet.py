@@ -45,7 +45,7 @@ class MachineInformation:
     vector: Array  #: (p,) b
 
     @classmethod
-    def of_posterior(
+    def from_posterior(
         cls, value: Array, covariance: Array, nominal: Array, tolerance: Array
     ) -> "MachineInformation":
         """A posterior (p,), (p, p) without its prior (p,), of one unit each."""

@@ -41,11 +41,11 @@ class ForwardKinematics:
         return BatchedFunction("slopes", inputs, slopes)
 
     @functools.cached_property
-    def by_pose_and_parameter(self) -> BatchedFunction:
+    def pose_and_parameter_slopes(self) -> BatchedFunction:
         """Slopes (n, nx, nx) and (n, nx, np) of the equations."""
         e = self._expressions
         slopes = [ca.jacobian(e.balance, over) for over in (e.x, e.p)]
-        return BatchedFunction("by_pose_and_parameter", [e.x, e.q, e.p], slopes)
+        return BatchedFunction("pose_and_parameter_slopes", [e.x, e.q, e.p], slopes)
 
     @functools.cached_property
     def adjoint(self) -> BatchedFunction:

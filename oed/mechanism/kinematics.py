@@ -402,7 +402,7 @@ class Kinematics:
         """Sign (n,) of det(phi_x), which differs between assembly modes on either side
         of a singularity; 0 for a redundant machine.
         """
-        phi_x = self.slopes.of_closure(x, q, p)
+        phi_x = self.slopes.closure_slopes(x, q, p)
         if phi_x.shape[1] != phi_x.shape[2]:
             return np.zeros(len(x))
         return np.asarray(np.linalg.slogdet(phi_x)[0])
@@ -413,7 +413,7 @@ class Kinematics:
         rotation, tip, twist = self._frame(x, tool)
         return rotation, tip, twist
 
-    def at_reference_tool(self, command: Array, tool: Array) -> Array:
+    def reference_tool_commands(self, command: Array, tool: Array) -> Array:
         """Commands (n, n_dof) of the reference tool at the poses of those of a tool (3,).
 
         A tool beside the axis moves with the platform's turn. Where one of the poses

@@ -87,8 +87,8 @@ class ErrorModel:
         """
         p = kinematics.machine.nominal if parameters is None else parameters
         x, q = kinematics.inverse(command, p, tool)
-        by_joint = kinematics.slopes.over_joints(x, q, p)
-        by_parameter = kinematics.slopes.over_parameters(x, q, p)
+        by_joint = kinematics.slopes.joint_slopes(x, q, p)
+        by_parameter = kinematics.slopes.parameter_slopes(x, q, p)
         joints = kinematics.joint_slopes(x, q, p, command, tool)
         rotation, point, twist = kinematics.frames(x, tool)
         return cls(

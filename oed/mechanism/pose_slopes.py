@@ -45,11 +45,11 @@ class PoseSlopes:
         slope = ca.jacobian(e.phi, e.x)
         return BatchedFunction("closure_slope", [e.x, e.q, e.p], [slope])
 
-    def of_closure(self, x: Array, q: Array, p: Array) -> Array:
+    def closure_slopes(self, x: Array, q: Array, p: Array) -> Array:
         """phi_x (n, rows, nx): of a redundant machine, of all its equations."""
         return self._closure_slope(x, q, p)[0]
 
-    def over_parameters(self, x: Array, q: Array, p: Array) -> Array:
+    def parameter_slopes(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
         by_x, by_p, _ = self._equations.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_p)
@@ -68,17 +68,17 @@ class PoseSlopes:
         )
         rest = np.flatnonzero(~np.isfinite(condition))
         if rest.size:
-            sensitivity, condition[rest] = self.over_parameters_with_condition(
+            sensitivity, condition[rest] = self.parameter_slopes_with_condition(
                 x[rest], q[rest], p[rest]
             )
             rows[rest] = -slopes[rest] @ sensitivity
         return -rows, condition
 
-    def over_parameters_with_condition(
+    def parameter_slopes_with_condition(
         self, x: Array, q: Array, p: Array
     ) -> tuple[Array, Array]:
         """dx/dp (n, nx, np), joints fixed, and |phi_x| |phi_x^-1| (n,)."""
-        by_x, by_p = self._equations.by_pose_and_parameter(x, q, p)
+        by_x, by_p = self._equations.pose_and_parameter_slopes(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         inverse = newton.solve_linear(by_x, identity)
         norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
@@ -95,7 +95,7 @@ class PoseSlopes:
         """Those of poses x (m, poses, nx) with joints q (m, poses, nq), p (m, np)."""
         return PoseAdjoints(self, x, q, p)
 
-    def over_joints(self, x: Array, q: Array, p: Array) -> Array:
+    def joint_slopes(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
         by_x, _, by_q = self._equations.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_q)
@@ -114,7 +114,7 @@ class PoseSlopes:
 
     def reciprocal_condition(self, x: Array, q: Array, p: Array) -> Array:
         """Reciprocal condition (n,) of phi_x, in levers; 0 where singular."""
-        phi_x = self.of_closure(x, q, p)
+        phi_x = self.closure_slopes(x, q, p)
         values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
         return values[:, -1] / values[:, 0]
 
@@ -168,7 +168,7 @@ class PoseAdjoints:
     def _pull_back_single(self, slopes: Array, pose: int) -> Array:
         """As `pull_back`, of readings that see one pose."""
         m, n, channels, nx = slopes.shape
-        sensitivity, condition = self._slopes.over_parameters_with_condition(
+        sensitivity, condition = self._slopes.parameter_slopes_with_condition(
             self._x[:, pose], self._q[:, pose], self._p
         )
         self._check(condition)

@@ -203,7 +203,7 @@ class Clearance:
             cup_point = cup_position(measurement, setup, cup)
             self._bar = _Bar(cup_point, surroundings.bar)
 
-    def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
+    def pose_clearance(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,), m, at x (n, nx), q (n, nq), with the bar or without."""
         ends, radii = self._moving_segments(x, q, bar)
         by_segment = np.full(ends.shape[:2], np.inf)
@@ -217,9 +217,9 @@ class Clearance:
         """Clearance (N,), m, of readings at x (m, nx); no bar at references."""
         without_bar = np.full(len(x), np.inf)
         if self._links is not None:
-            without_bar = self.at_poses(x, series.q, bar=False)
+            without_bar = self.pose_clearance(x, series.q, bar=False)
         read = series.index[:, 0]
-        with_bar = self.at_poses(x[read], series.q[read])
+        with_bar = self.pose_clearance(x[read], series.q[read])
         others = without_bar[series.index].min(axis=1)
         return np.asarray(np.minimum(with_bar, others))
 

@@ -95,7 +95,7 @@ def effect_forms(
                 precision = np.where(signature.shape, 1.0, RIVAL_SD**-2)
                 form = Form(effect.name, columns, precision, signature)
                 by_effect.setdefault(effect.name, []).append(form)
-                blocks.append(problem.in_noise_units(signature.columns))
+                blocks.append(problem.noise_units(signature.columns))
                 start += len(columns)
         if effect.name not in by_effect:
             reasons[effect.name] = reason or "it changes none of these readings"

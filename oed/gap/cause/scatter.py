@@ -264,7 +264,7 @@ def _weights(problem: GapProblem) -> dict[str, Array]:
         np.abs(response.joints[0]).reshape(-1, response.joints[0].shape[-1])
         for response in problem.responses
     ]
-    legs = problem.in_noise_units(np.vstack(slopes)) ** 2
+    legs = problem.noise_units(np.vstack(slopes)) ** 2
     weights = {f"leg {k + 1}": legs[:, k] for k in range(legs.shape[1])}
     runs = problem.rows["run"].to_numpy()
     for run in np.unique(runs):

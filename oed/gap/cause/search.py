@@ -169,7 +169,7 @@ class FormProducts:
         return Metric(self._problem, self._law)
 
     @functools.cached_property
-    def in_question(self) -> Grams:
+    def questioned(self) -> Grams:
         """Grams of the columns of the effects in question."""
         return self._grams_of(self._needed)
 
@@ -183,7 +183,7 @@ class FormProducts:
 
     def grams_of(self, columns: Index) -> Grams:
         """Grams of some columns of the effects in question."""
-        return self.in_question.take(self.place(columns))
+        return self.questioned.take(self.place(columns))
 
     @functools.cached_property
     def remainders(self) -> "Remainders":
@@ -244,14 +244,14 @@ class FormProducts:
         """Grams of all columns of all effects."""
         columns = np.arange(self._library.columns.shape[1])
         if len(self._needed) == len(columns):
-            return self.in_question
+            return self.questioned
         return self._grams_of(columns)
 
     @functools.cached_property
     def log_prior(self) -> Array:
         """Log prior (atoms, sizes) of each form of the effects in question."""
         diagonal = np.zeros(self._library.columns.shape[1])
-        diagonal[self._needed] = self.in_question.gram.diagonal()
+        diagonal[self._needed] = self.questioned.gram.diagonal()
         return self._log_prior(diagonal)
 
     @functools.cached_property
@@ -267,7 +267,7 @@ class FormProducts:
 
     def release(self) -> None:
         """Give the memory back; what is asked for again is computed again."""
-        for name in ("metric", "in_question", "remainders", "grams"):
+        for name in ("metric", "questioned", "remainders", "grams"):
             self.__dict__.pop(name, None)
         self._cross.clear()
 
@@ -565,7 +565,7 @@ class Search:
         """Log posterior (atoms, sizes) of forms over none, beside others."""
         key = (effect, tuple(zip(others, sizes, strict=True)))
         if key not in self._posteriors:
-            grams, place = self._forms.in_question, self._forms.place
+            grams, place = self._forms.questioned, self._forms.place
             selected = [place(self.columns_of(k)) for k in others]
             forms = [place(self.columns_of(k)) for k in self._atoms_of[effect]]
             beside = grams.taken_by(selected, sizes)

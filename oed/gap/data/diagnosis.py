@@ -127,4 +127,4 @@ class Diagnosis(Explained):
         """What remains of a change (N,) of the readings, SI, after fitting parameters."""
         problem = self.problem
         stated = Metric(problem, problem.stated_law)
-        return stated.after_fit(problem.in_noise_units(change)) * problem.sigma
+        return stated.fit_remainder(problem.noise_units(change)) * problem.sigma

@@ -112,7 +112,7 @@ class _PointFit:
         parameters = np.linalg.lstsq(self._root, off_nominal, rcond=None)[0]
         values = np.concatenate([parameters, np.zeros(len(self.sizes))])
         about = _LinearPoint(values, problem, self._columns(problem), problem.residual)
-        exact = problem.in_noise_units(problem.y) - problem.residual
+        exact = problem.noise_units(problem.y) - problem.residual
         return dataclasses.replace(about, exact=exact + about.change(values))
 
     def _columns(self, problem: GapProblem) -> Array:
@@ -121,7 +121,7 @@ class _PointFit:
             problem.signature(form.effect, form.constants).columns_of(form.names)
             for form in self._forms
         ]
-        return problem.in_noise_units(self.sizes * np.hstack(parts))
+        return problem.noise_units(self.sizes * np.hstack(parts))
 
     def at(self, values: Array) -> _LinearPoint:
         """The readings linearised about values (n + k,). Raises AssemblyError."""
@@ -133,11 +133,11 @@ class _PointFit:
         for form in self._forms:
             of_form = dict(zip(form.names, factors, strict=False))
             acting.append((form.effect, form.constants, of_form))
-        exact = moved.in_noise_units(
+        exact = moved.noise_units(
             exact_readings(moved.measurement, moved.series, theta, moved.states, acting)
         )
         about = _LinearPoint(values, moved, self._columns(moved), exact)
-        residual = moved.in_noise_units(moved.y) - exact + about.change(values)
+        residual = moved.noise_units(moved.y) - exact + about.change(values)
         return dataclasses.replace(about, problem=moved.with_residual(residual))
 
     def most_probable(self, point: _LinearPoint) -> Array:
@@ -166,6 +166,6 @@ class _PointFit:
 
     def _cost(self, point: _LinearPoint) -> float:
         """Squared residuals and values, in units of the noise and of the prior."""
-        y = self._problem.in_noise_units(self._problem.y)
+        y = self._problem.noise_units(self._problem.y)
         white = self._metric.whiten(y + self._outlying - point.exact)
         return float(white @ white + point.values @ point.values)

@@ -326,7 +326,7 @@ class GapProblem:
             textbook=textbook,
         )
 
-    def in_noise_units(self, values: Array) -> Array:
+    def noise_units(self, values: Array) -> Array:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""
         trailing = [1] * (values.ndim - 1)
         return values / self.sigma.reshape(-1, *trailing)
@@ -532,7 +532,7 @@ class Metric:
         fitted = root.turn.T @ (sizes / (1.0 + sizes**2) * along)
         return np.asarray(fitted[:, 0] if values.ndim == 1 else fitted)
 
-    def after_fit(self, values: Array) -> Array:
+    def fit_remainder(self, values: Array) -> Array:
         """Values (N,) less what the parameters explain when fitted to them."""
         return values - self._slopes @ self.fit(values)
 

@@ -132,7 +132,7 @@ def _joint_slopes(problem: GapProblem) -> Array:
         for k, j in enumerate(_moving_poses(series)):
             part[:, :, k] = at_pose[j].reshape(count, -1)
         parts.append(part)
-    return problem.in_noise_units(np.concatenate(parts))
+    return problem.noise_units(np.concatenate(parts))
 
 
 def values_of_poses(problem: GapProblem, values: Sequence[Array]) -> Array:

@@ -42,7 +42,7 @@ def distinct_from_parameters(
     axes = axes[:, sizes > RANK_TOLERANCE * sizes.max(initial=0.0)]
     distinct = []
     for form, log_weight in forms:
-        columns = problem.in_noise_units(form.columns)
+        columns = problem.noise_units(form.columns)
         remaining = columns - axes @ (axes.T @ columns)
         share = np.sum(remaining**2, axis=0) / np.sum(columns**2, axis=0)
         chosen = share > MIN_REMAINING_SHARE
@@ -233,7 +233,7 @@ def _signatures(
     distinct: set[bytes] = set()
     for point in points:
         form = problem.signature(effect, point, textbook=textbook)
-        columns = problem.in_noise_units(form.columns)
+        columns = problem.noise_units(form.columns)
         largest = EFFECT_SIZES.usual[-1] * np.linalg.norm(columns)
         if form.names and largest > MIN_NORM:
             content = hashlib.sha1(form.columns.tobytes(), usedforsecurity=False)
@@ -283,9 +283,7 @@ def _scores(
     """Log evidence of each form at its best atom and size, with its log weight."""
     ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
     columns = np.hstack([form.columns for form, _ in forms])
-    whitened = evidence.WhitenedColumns(
-        problem, metric, problem.in_noise_units(columns)
-    )
+    whitened = evidence.WhitenedColumns(problem, metric, problem.noise_units(columns))
     scores = []
     for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):
         choices = [atom.columns for atom in _atoms(form, 0, 0.0)]

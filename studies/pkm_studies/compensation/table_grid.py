@@ -192,7 +192,7 @@ def forecast_corrections(
     ]
     command = grid_nodes(tuple(knots))
     turns = {
-        axis.name: axis.turn for axis in GridAxis.of_box(kinematics.machine, command)
+        axis.name: axis.turn for axis in GridAxis.box_axes(kinematics.machine, command)
     }
     counts = [len(places) for places in knots]
     table = InterpolationTable(

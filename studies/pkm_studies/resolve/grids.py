@@ -80,7 +80,7 @@ def check_tool_workspace(
     outside = {row for row, *_ in machine.out_of_range(command, tuple(tool))}
     if outside:
         rows = command[sorted(outside)]
-        at_reference = kinematics.at_reference_tool(rows, np.array(tool))
+        at_reference = kinematics.reference_tool_commands(rows, np.array(tool))
         check_workspace(machine, at_reference, keys, location)
 
 

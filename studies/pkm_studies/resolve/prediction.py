@@ -146,13 +146,13 @@ def _check_values(
 
 def _is_covariate(column: ReadingsColumn) -> bool:
     """Whether a column is a covariate in a unit of its kind."""
-    covariate = ReadingsColumn.of_covariate(column.stem)
+    covariate = ReadingsColumn.from_covariate(column.stem)
     return covariate is not None and covariate.unit == column.unit
 
 
 def _column(covariate: str) -> str:
     """A covariate as its column is called."""
-    column = ReadingsColumn.of_covariate(covariate)
+    column = ReadingsColumn.from_covariate(covariate)
     return covariate if column is None else column.name
 
 
@@ -218,8 +218,8 @@ class StudyWorkspace:
         machine = self.kinematics.machine
         prediction = prediction_request(self.study, machine)
         if prediction is None:
-            return GridAxis.of_box(machine, _lattice(machine))
-        axes = GridAxis.of_box(machine, prediction.command)
+            return GridAxis.box_axes(machine, _lattice(machine))
+        axes = GridAxis.box_axes(machine, prediction.command)
         if prediction.table.reference != "home":
             return axes
         pairs = zip(axes, machine.home_command, strict=True)

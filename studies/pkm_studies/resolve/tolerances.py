@@ -294,7 +294,7 @@ def _information(
     block = np.array(section.covariance)[np.ix_(indices, indices)] * np.outer(
         scale, scale
     )
-    information = history.MachineInformation.of_posterior(value, block, start, prior)
+    information = history.MachineInformation.from_posterior(value, block, start, prior)
     return information.rescaled(tolerance / prior, shift)
 
 

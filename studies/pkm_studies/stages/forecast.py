@@ -177,7 +177,7 @@ def forecast_task(
             )
         )
     kinematics = resolved.measurement.kinematics
-    axes = GridAxis.of_box(kinematics.machine, where.command)
+    axes = GridAxis.box_axes(kinematics.machine, where.command)
     spread = np.zeros((len(kinematics.machine.parameters), 0))
     if knowledge is not None:
         values, vectors = np.linalg.eigh(knowledge.covariance)

@@ -73,7 +73,7 @@ def test_with_one_degree_of_freedom_no_reading_is_located():
     assert np.abs(pulls) == pytest.approx(np.abs(pulls[2]), rel=1e-2)
     assert abs(pulls[2]) > 7.0
     asked = odds_of(slopes, residual)
-    assert asked.of_location([2])[2] < np.log(1.0)
+    assert asked.location_odds([2])[2] < np.log(1.0)
     assert set(asked.rivals([2], 2)) == set(range(7))
 
 
@@ -83,8 +83,8 @@ def test_redundant_readings_locate_gross_errors(places):
     sizes = {k: 20.0 * s for k, s in zip(places, signs, strict=False)}
     slopes, residual = session(2, sizes)
     asked = odds_of(slopes, residual)
-    assert min(asked.of_location(places).values()) > np.log(LOCATED_ODDS)
-    assert min(asked.of_gross_error(places, rest_fits=True).values()) > np.log(
+    assert min(asked.location_odds(places).values()) > np.log(LOCATED_ODDS)
+    assert min(asked.gross_error_odds(places, rest_fits=True).values()) > np.log(
         GROSS_ODDS
     )
     assert asked.rivals(places, places[0]) == (places[0],)
@@ -95,8 +95,8 @@ def test_a_sound_reading_is_no_gross_error():
     p = precision(slopes)
     worst = int(np.argmax(np.abs(p @ residual / np.sqrt(np.diag(p)))))
     asked = odds_of(slopes, residual)
-    assert asked.of_gross_error([worst], rest_fits=True)[worst] < 0.0
-    assert asked.of_location([worst])[worst] < np.log(LOCATED_ODDS)
+    assert asked.gross_error_odds([worst], rest_fits=True)[worst] < 0.0
+    assert asked.location_odds([worst])[worst] < np.log(LOCATED_ODDS)
 
 
 def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
@@ -105,7 +105,7 @@ def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
     residual = errors.copy()
     residual[8] = 15.0
     asked = odds_of(slopes, residual, student)
-    return asked.of_gross_error([8], rest_fits=True)[8]
+    return asked.gross_error_odds([8], rest_fits=True)[8]
 
 
 def test_heavy_tails_of_the_others_make_a_far_reading_noise():
@@ -125,5 +125,5 @@ def test_beside_a_misfit_a_moderate_error_proves_nothing():
     residual[8] += 8.0
     residual[15] += 60.0
     asked = odds_of(slopes, residual)
-    odds = asked.of_gross_error([8, 15], rest_fits=False)
+    odds = asked.gross_error_odds([8, 15], rest_fits=False)
     assert odds[8] < np.log(GROSS_ODDS) < odds[15]

@@ -81,7 +81,7 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round():
 
     def psi(places: np.ndarray) -> tuple[float, float, bool]:
         command = np.array([(1.1, p, t) for p in places for t in (0.1, 0.4)])
-        axis = GridAxis.of_box(machine, command)[1]
+        axis = GridAxis.box_axes(machine, command)[1]
         return axis.lower, axis.upper, axis.turn
 
     twelve = np.arange(12) * TURN / 12.0
@@ -92,7 +92,7 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round():
     # turns about fixed axes do not come back to the same controlled quantities
     corners = np.array([c.upper for c in hexapod.machine.command])
     lattice = np.stack([-corners, 0.0 * corners, corners])
-    assert not any(axis.turn for axis in GridAxis.of_box(hexapod.machine, lattice))
+    assert not any(axis.turn for axis in GridAxis.box_axes(hexapod.machine, lattice))
 
 
 def test_a_table_may_reach_further_than_its_errors_count():

@@ -196,7 +196,7 @@ def test_tables_are_as_fine_as_the_growth_of_the_leg_needs(measured):
     """The leg grows with its joint's length; play is almost the same everywhere."""
     _, s = measured
     command = a3_plans.workspace()
-    axes = GridAxis.of_box(s.corrected.readings.measurement.machine, command)
+    axes = GridAxis.box_axes(s.corrected.readings.measurement.machine, command)
     tables, missing = effect_tables(s.corrected, command, axes, None)
     assert missing == {}
     warm, play = sorted(tables, key=lambda t: t.state, reverse=True)

@@ -31,7 +31,7 @@ def problem() -> GapProblem:
     signature = circles.signature(
         backlash.effect, {"distance": backlash.TAKEN_UP[0]}, textbook=True
     )
-    change = circles.in_noise_units(signature.columns @ PLAY)
+    change = circles.noise_units(signature.columns @ PLAY)
     noise = np.random.default_rng(1).standard_normal(len(circles))
     return circles.with_residual(change + noise)
 
@@ -61,7 +61,7 @@ def test_the_form_of_highest_evidence_is_chosen(problem):
 
     def values(constants: Mapping[str, float]) -> np.ndarray:
         signature = problem.signature(backlash.effect, constants)
-        columns = problem.in_noise_units(signature.columns)
+        columns = problem.noise_units(signature.columns)
         by_size = [
             dense_evidence(problem, size * columns, problem.residual)
             for size in EFFECT_SIZES.values

@@ -58,10 +58,10 @@ def test_columns_are_written_as_they_are_read():
 def test_covariates_are_known_by_their_stems():
     assert columns.temperature_body("temp_bar") == "bar"
     assert columns.temperature_body("temp_") is None
-    assert columns.ReadingsColumn.of_covariate("length") is None
-    tension = columns.ReadingsColumn.of_covariate("tension_2")
+    assert columns.ReadingsColumn.from_covariate("length") is None
+    tension = columns.ReadingsColumn.from_covariate("tension_2")
     assert tension.unit == "N"
-    temperature = columns.ReadingsColumn.of_covariate("temp_bar")
+    temperature = columns.ReadingsColumn.from_covariate("temp_bar")
     assert temperature == columns.ReadingsColumn("temp_bar_C", "temp_bar", "K", 1.0)
     assert columns.tension_columns(a3_head.machine) == []
     count = len(cables_planar.machine.joints)

@@ -71,7 +71,7 @@ def test_few_columns_hold_the_variance_of_a_group(problem, columns):
 
 
 def test_unknown_effects_are_as_large_as_known_ones(problem, columns):
-    white = problem.in_noise_units(columns.discrepancy.columns)
+    white = problem.noise_units(columns.discrepancy.columns)
     members = members_of(columns)
     sizes = np.array([np.sqrt((white[:, m] ** 2).sum(axis=1).mean()) for m in members])
     unknown = columns.discrepancy.unknown

@@ -30,7 +30,7 @@ def test_small_effects_settle_at_the_linear_estimate():
     settled = settle(problem, [FORM], law, none)
     signature = problem.signature(BOW, FORM.constants)
     rows = [signature.names.index(name) for name in FORM.names]
-    columns = FORM.size * problem.in_noise_units(signature.columns[:, rows])
+    columns = FORM.size * problem.noise_units(signature.columns[:, rows])
     weighed = np.linalg.solve(residual_covariance(problem, STATED_LAW), columns)
     precision = columns.T @ weighed + np.eye(2)
     exact = FORM.size * np.linalg.solve(precision, weighed.T @ problem.residual)

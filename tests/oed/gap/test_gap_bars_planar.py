@@ -88,7 +88,7 @@ def predicted(diagnosis, whole, held):
         for effect, point in zip(effects, points, strict=True):
             signature = whole.signature(effect, point)
             chosen = [(effect.name, n) in named for n in signature.names]
-            columns = 3.0 * whole.in_noise_units(signature.columns)[:, chosen]
+            columns = 3.0 * whole.noise_units(signature.columns)[:, chosen]
             covariance = covariance + columns @ columns.T
         every.append(covariance)
     fitted, um = np.ix_(~held, ~held), 1e6 * whole.sigma[held]

@@ -34,7 +34,7 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(name):
     )
     signature = problem.signature(effect, {})
     wanted = dict(
-        zip(signature.names, problem.in_noise_units(signature.columns).T, strict=True)
+        zip(signature.names, problem.noise_units(signature.columns).T, strict=True)
     )
     form = discrepancy.values_of_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]

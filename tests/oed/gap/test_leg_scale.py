@@ -60,7 +60,7 @@ def test_the_linear_model_holds_where_the_effect_acts(tmp_path):
     assert settled.coefficients[0] * 50e-6 == pytest.approx(-0.06, abs=4e-4)
     # what is left beside parameters and effect is noise
     there = settled.problem
-    columns = there.in_noise_units(there.signature(encoder_scale.effect, {}).columns)
+    columns = there.noise_units(there.signature(encoder_scale.effect, {}).columns)
     root = measurement.prior_root()[:, measurement.free]
     z = np.linalg.lstsq(root, there.theta - measurement.nominal, rcond=None)[0]
     left = there.residual - there.slopes @ z - columns @ settled.coefficients

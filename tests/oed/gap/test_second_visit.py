@@ -92,7 +92,7 @@ def unloaded(size: float = 10.0) -> Diagnosis:
     ).assign(payload=0.0, time=60.0 * np.arange(36.0))
     problem = assemble(m, [series], rows)
     form = problem.signature(gravity.effect, {"ratio": 0.3}, textbook=True)
-    change = problem.in_noise_units(form.columns[:, 0])
+    change = problem.noise_units(form.columns[:, 0])
     noise = np.random.default_rng(8).standard_normal(len(problem))
     problem = with_readings(problem, size * change + noise)
     return procedure.explain_residuals(problem, EFFECTS, law=STATED_LAW)

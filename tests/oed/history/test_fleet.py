@@ -55,7 +55,7 @@ def test_what_readings_say_is_the_posterior_without_its_prior(rng):
     y = slopes @ truth + 0.1 * rng.standard_normal(2)
     covariance = np.linalg.inv(100.0 * slopes.T @ slopes + np.diag(tolerance**-2))
     value = covariance @ (100.0 * slopes.T @ y + nominal / tolerance**2)
-    own = MachineInformation.of_posterior(value, covariance, nominal, tolerance)
+    own = MachineInformation.from_posterior(value, covariance, nominal, tolerance)
     other, wide = nominal + 0.3, 1.5 * tolerance
     moved = own.rescaled(wide / tolerance, (nominal - other) / wide)
     scaled = slopes * wide

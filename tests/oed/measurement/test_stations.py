@@ -102,7 +102,9 @@ def test_the_workspace_holds_for_the_reference_tool(tmp_path):
     far = STUDY.replace("[50.0, 0.0, 0.0]", "[300.0, 0.0, 0.0]")
     (plan,) = sample.resolved(far + grid, tmp_path).reference_plans
     kinematics = Measurement(machine, []).kinematics
-    home = kinematics.at_reference_tool(plan.series[0].command, np.array([0.3, 0, 0]))
+    home = kinematics.reference_tool_commands(
+        plan.series[0].command, np.array([0.3, 0, 0])
+    )
     np.testing.assert_allclose(home[0, :3], [0.0, 0.0, 0.55], atol=1e-6)
     beyond = grid.replace(f"z_mm = [{high:.6f}]", f"z_mm = [{high + 300.0:.6f}]")
     error = sample.refused(far + beyond, folder=tmp_path)

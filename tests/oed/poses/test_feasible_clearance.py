@@ -139,7 +139,7 @@ def test_clearance_of_a_whole_skeleton_with_a_longer_tool(rng):
     wall = Capsule((0.4, -0.5, 1.3), (0.4, 0.5, 1.5), 0.02)
     clearance = Clearance(
         m, "cup250", Surroundings(obstacles=(wall,), links=0.03)
-    ).at_poses(series.start, series.q)
+    ).pose_clearance(series.start, series.q)
     points = np.linspace(wall.start, wall.end, 401)
     for k in (0, 5, 19):
         tip = m.kinematics.frames(series.start[k : k + 1], np.array([0, 0, 0.25]))[1][0]

@@ -205,7 +205,7 @@ def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
     """States by column of the readings file, in its unit."""
     shown = {}
     for name, values in states.items():
-        column = ReadingsColumn.of_covariate(name)
+        column = ReadingsColumn.from_covariate(name)
         if column is not None:
             shown[column.name] = [float(value) / column.factor for value in values]
     return shown
