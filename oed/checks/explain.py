@@ -40,8 +40,7 @@ from oed.measurement import Measurement
 
 # Which mistakes are worth a fit: the likeliest ones in the linear model.
 
-#: prior probability that readings have a usual mistake
-MISTAKE_PROBABILITY = 0.1
+MISTAKE_PROBABILITY = 0.1  #: prior probability that readings have a usual mistake
 #: trials of one kind that are fitted, at most: three legs, or six in pairs, have six images,
 #: turned by thirds and mirrored
 MAX_OF_KIND = 6
