@@ -31,8 +31,7 @@ import scipy
 
 from oed.base import Array, Index
 
-#: rows of a block that are whitened by one product
-BLOCK_ROWS = 32
+BLOCK_ROWS = 32  #: rows of a block that are whitened by one product
 #: columns up to which LAPACK, column after column, takes less time than blocks
 MAX_SINGLE_COLUMNS = 8
 
