@@ -21,11 +21,8 @@ _running: set[subprocess.Popen[bytes]] = set()  #: programs that `run` waits for
 def run(
     command: Sequence[str], folder: Path, longest: float
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run another program in a folder, without input; its output is kept.
-
-    longest  time that it has, s
-
-    Raises OSError, subprocess.SubprocessError.
+    """Run another program in a folder for `longest` s at most, without input; its
+    output is kept. Raises OSError, subprocess.SubprocessError.
     """
     with subprocess.Popen(
         command,

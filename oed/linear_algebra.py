@@ -112,11 +112,8 @@ def covariance_root(covariance: Array) -> Array:
 
 
 def precision_root(precision: Array) -> Array:
-    """Upper triangular R with R R^T = P^-1 of precisions P (..., n, n).
-
-    A covariance that is computed first as an inverse is exact to eps times its largest
-    variance only: what P determines 1e8 times better is lost in that, and the smallest
-    eigenvalue may be negative. P has it among its largest ones.
+    """Upper triangular R with R R^T = P^-1 of precisions P (..., n, n), which keeps
+    what a computed covariance would lose: what P determines 1e8 times better.
     """
     triangle = np.linalg.inv(triangle_of_sums(precision))
     return np.asarray(np.triu(np.swapaxes(triangle, -1, -2)))

@@ -120,11 +120,8 @@ def _named_error(path: Path, error: OSError) -> OSError:
 
 
 def write_own(path: Path, content: bytes, replaceable: Collection[str] = ()) -> Path:
-    """Write a file whole, and return its path: `path`, or one with a number.
-
-    replaceable  further digests of files that may be replaced
-
-    Raises OSError.
+    """Write a file whole, and return its path: `path`, or one with a number unless its
+    digest is `replaceable`. Raises OSError.
     """
     with temporary_file(path) as part:
         part.write_bytes(content)

@@ -254,11 +254,8 @@ def _verdict(errors: Array, demand: PromiseRecord) -> VerdictRecord:
 def positioning(
     errors: Array, target: Index, direction: Array, unit: str
 ) -> PositioningRecord | None:
-    """Figures of errors (n,) in `unit` at numbered targets, approached in directions (n,).
-
-    direction  +1 or -1; NaN where unknown, which counts as one direction
-
-    None where a target has fewer than two approaches in a direction.
+    """Figures of errors (n,) in `unit` at numbered targets, by directions (n,): +1, -1
+    or, unknown, NaN; None where a target has fewer than two approaches in one.
     """
     direction = np.where(np.isfinite(direction), direction, 1.0)
     senses = np.unique(direction)

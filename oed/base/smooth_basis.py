@@ -29,12 +29,9 @@ def curve_mode(
     count: int,
     detrend: int = 0,
 ) -> Array:
-    """One of the `count` largest modes of a smooth curve over the span from -1 to 1.
-
-    positions           (...) places; beyond the span the mode keeps its end value
-    number              of the mode, 0 for the largest
-    correlation_length  where the span is 2 long
-    detrend             1 for curves without their mean, 2 without their slope either
+    """One of the `count` largest modes of a smooth curve from -1 to 1, and at its ends'
+    values beyond; detrend: 1 for curves without their mean, 2 without their slope
+    either.
     """
     grid, modes = _curve_modes(correlation_length, count, detrend)
     return np.asarray(np.interp(positions, grid, modes[number]))

@@ -41,11 +41,8 @@ class FurtherAxes:
         return len(self.axes)
 
     def offsets(self, command: Array, parameters: Array) -> Array:
-        """How far (n, m) a compensated machine is off its commands (n, n_dof), SI.
-
-        parameters  (np,) identified, which the joints compensate
-
-        An additional axis takes them back. Raises AssemblyError.
+        """How far (n, m) a machine that joints compensate by parameters (np,) is off
+        its commands, SI; an additional axis takes it back. AssemblyError.
         """
         joints = compensated_joints(self.kinematics, command, parameters)
         twist = pose_error(self.kinematics, command, joints, parameters)
@@ -130,11 +127,8 @@ def compensated_joints(
 def joint_corrections(
     kinematics: Kinematics, command: Array, parameters: Array
 ) -> Array:
-    """What (n, nq) a controller with the nominal model adds to its joints, at commands.
-
-    parameters  (np,) of the real machine, SI
-
-    Raises AssemblyError.
+    """What (n, nq) a controller with the nominal model adds to its joints at commands,
+    for a real machine of parameters (np,), SI. Raises AssemblyError.
     """
     needed = compensated_joints(kinematics, command, parameters)
     modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)

@@ -30,12 +30,11 @@ def bound(
     prior: Array,
     rounding: Rounding = NO_ROUNDING,
 ) -> Relaxation:
-    """Relaxation whose bound holds for all plans under the rules; a concave criterion.
+    """Relaxation whose bound holds for all plans under the rules, of a concave
+    criterion.
 
-    Its weights (C,) are those that attain the bound. It allows for the rounding of blocks
-    and prior, except under quotas.
-
-    Raises ValueError under quotas for a criterion without a conic form.
+    It allows for rounding, except under quotas. Raises ValueError for a criterion
+    without a conic form there.
     """
     if rules.quotas is not None:
         return _bound_under_quotas(blocks, criterion, rules, rules.quotas, prior)

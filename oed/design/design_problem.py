@@ -433,8 +433,6 @@ class DesignProblem:
         """Accuracy of components by the number of readings, over a plan's set-ups.
 
         factors  (K, r, n) of the components `names`, in units of the wanted accuracy
-
-        Time and number of set-ups are no rules there.
         """
         c = self.candidates
         pool, basis = self.chosen_pool(choice)

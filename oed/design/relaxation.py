@@ -212,11 +212,8 @@ def project_to_sum(target: Array, total: float, caps: Array) -> Array:
 
 
 def _shift_to_sum(target: Array, total: float, caps: Array) -> float:
-    """The number to subtract from all weights, so that within 0 and the caps they have
-    the sum `total`.
-
-    The sum is piecewise linear in the shift: it bends where a weight leaves its cap, and
-    where one reaches 0.
+    """The number to subtract from all weights for the sum `total` within 0 and the
+    caps, by its sum, piecewise linear in it.
     """
     bends = np.concatenate([target - caps, target])
     order = np.argsort(bends)
@@ -401,11 +398,8 @@ def check_caps(caps: Array, size: float, cap: Array | float) -> None:
 def _multiplicative_steps(
     objective: Objective, size: float, caps: Array, tolerance: float
 ) -> Relaxation:
-    """Weights by multiplicative steps alone.
-
-    Where every set-up brings unknowns of its own, the least weight on it determines
-    them, and weights far below one reading belong to the optimum. Newton's model fails
-    there, and leaving small weights out is worse.
+    """Weights by multiplicative steps alone, for set-ups of unknowns that weights far
+    below one reading determine: Newton's model fails there.
     """
     count = objective.count
     everything = np.arange(count)

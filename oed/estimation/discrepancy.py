@@ -37,11 +37,8 @@ class EffectDraws:
 def sample_effects(
     information: Array, score: Array, sizes: Array, rng: np.random.Generator, count: int
 ) -> EffectDraws:
-    """Draw `count` sets of coefficients, each with its common size.
-
-    information  (k, k) J of the coefficients, the parameters integrated out
-    score        (k,) s
-    sizes        (t,) that are possible, alike probable
+    """Draw `count` sets of coefficients, each with its common size of alike `sizes`, by
+    information J (k, k), parameters integrated out, and score s (k,).
     """
     energy, axes = np.linalg.eigh(information)
     energy = np.where(energy > ENERGY_TOLERANCE * energy.max(initial=0.0), energy, 0.0)

@@ -395,11 +395,8 @@ def fit_machines(
     *,
     stages: Sequence[Sequence[str]] = (("*",),),
 ) -> Array:
-    """Parameters theta (m, n), SI, of m machines with readings y (m, N), SI.
-
-    stages  patterns of parameter names, freed in turn, as in `identify`
-
-    Raises IdentificationError where a machine cannot be fitted.
+    """Parameters theta (m, n), SI, of m machines with readings y (m, N), SI, freed in
+    stages as in `identify`. Raises IdentificationError.
     """
     size = max(1, BATCH_ENTRIES // (y.shape[1] * len(measurement.parameters)))
     parts = [

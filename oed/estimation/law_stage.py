@@ -78,13 +78,9 @@ def integrated_stage(
 ) -> Estimate:
     """The last stage from theta (n,), with the noise law integrated over.
 
-    near  an estimate from these readings, whose law is where the law is sought from
-
-    Where the readings speak against the law's weights (`check_law`), they
-    have the stated ones, and the parameters the covariance that the law then gives them.
-    What the model lacks passes for a course through the session where poses change
-    smoothly. So the law has a course where it is not contradicted without one, or where
-    single readings scatter as stated beside the course.
+    Where readings speak against the law's weights (`check_law`), they have the stated
+    ones. What the model lacks passes for a course: the law has one only where it is not
+    contradicted without, or where single readings scatter as stated beside it.
     """
     first = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, with_course = structure_and_prior(fit, first)

@@ -130,9 +130,8 @@ def _channel_numbers(
 def _scatter_within_run(laws: Laws, longest: int) -> Array:
     """Scatter (L,) about the mean of the longest run, over that of a single reading.
 
-    What is correlated beyond a run is none of its scatter, and no residual shows it.
-    With decay d, the mean correlation of two of n readings is
-    2 d (n (1 - d) - (1 - d^n)) / (n (n - 1) (1 - d)^2).
+    With decay d, the mean correlation of two of n readings is 2 d (n (1 - d) - (1 -
+    d^n)) / (n (n - 1) (1 - d)^2).
     """
     fresh = -np.expm1(-1.0 / laws.reach)
     whole = -np.expm1(-longest / laws.reach)

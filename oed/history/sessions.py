@@ -445,12 +445,10 @@ class SessionDrift:
         rng: np.random.Generator,
         draws: int = 4000,
     ) -> NextCalibration:
-        """When the rms error of a component over the workspace exceeds a limit, SI.
+        """When a component's rms error over the workspace, `after` now, exceeds a
+        limit, SI.
 
-        maps   (m, np) pose errors per parameter, in the order of the drift's names
-        after  rms error right after the last calibration
-
-        With the drift v the squared rms error is after^2 + t^2 mean (maps v)^2.
+        With the drift v and maps (m, np) its square is after^2 + t^2 mean (maps v)^2.
         """
         root = covariance_root(self.covariance)
         normal = rng.standard_normal((draws, len(self.rate)))

@@ -209,13 +209,11 @@ def _group_motion(
 def lost_motions(
     identified: Identifiability, machine: Machine, scale: Array
 ) -> tuple[list[str], Array]:
-    """Rigid motions that no reading determines, and the null space without them.
+    """Rigid motions that no reading determines, as texts, and rows (k, n) of what has
+    none.
 
-    A set-up's unknowns may move along: a base that moves together with the cup on it
-    changes no bar's reading. With the null space N and the motion u, such a direction
-    is a N with (a N)_machine = u_machine.
-
-    Returns texts, and orthonormal rows (k, n) that span what has no text.
+    A set-up's unknowns may move along: such a direction is a N with (a N)_machine =
+    u_machine, N the null space and u the motion.
     """
     null_space = identified.null_space
     if not len(null_space):

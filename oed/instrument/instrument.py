@@ -233,12 +233,10 @@ class Instrument:
         return 1 if self.reference is None else 2
 
     def index_poses(self, run: NDArray[np.str_]) -> tuple[Index, NDArray[np.str_]]:
-        """Poses (n, arity) that each reading sees, and its run (n,), from the poses' runs.
+        """Poses (n, arity) that each reading sees, and its run (n,), from the poses'
+        runs.
 
-        run  label of each commanded pose; a teach pose follows them
-
-        For instruments with a run reference the first pose of each run is the
-        reference, and no reading.
+        A teach pose follows them; the first pose of a run may be its reference.
         """
         count = len(run)
         numbers = np.arange(count)

@@ -81,11 +81,7 @@ class InverseKinematics:
         self._home: tuple[Array, Array] | None = None
 
     def solve(self, command: Array, p: Array, tool: Array) -> tuple[Array, Array]:
-        """Pose (n, nx) and joints (n, nq) at commands (n, n_dof).
-
-        p     (np,) or (n, np)
-        tool  (3,)
-
+        """Pose (n, nx), joints (n, nq) at commands, p (np,) or (n, np), a tool (3,).
         Raises AssemblyError, with the poses out of reach.
         """
         z = self._starts(command, p, tool)

@@ -79,11 +79,8 @@ class ErrorModel:
         tool: Array = NO_TOOL,
         parameters: Array | None = None,
     ) -> "ErrorModel":
-        """Error model at commands (n, n_dof), SI.
-
-        parameters  (np,) of the machine about which it holds; nominal by default
-
-        Raises AssemblyError for commands out of reach.
+        """Error model at commands (n, n_dof), SI, about parameters (np,), nominal by
+        default. Raises AssemblyError.
         """
         p = kinematics.machine.nominal if parameters is None else parameters
         x, q = kinematics.inverse(command, p, tool)

@@ -196,12 +196,8 @@ def _chord_steps(
 
 
 def condition_bound(matrices: Array, slopes: Factors, scale: Array) -> Array:
-    """Bounds (n,) on the condition numbers of matrices A (n, k, k), columns in units.
-
-    The singular values of A are known by their product, the determinant, and by their
-    sum of squares. So the condition number is at most
-    |A|^k (k - 1)^(-(k - 1) / 2) / |det A|, with the Frobenius norm |A|: the others than
-    the smallest have the largest product where they are equal.
+    """Bounds (n,) on the condition numbers of matrices A (n, k, k), columns in units:
+    at most |A|^k (k - 1)^(-(k - 1) / 2) / |det A|, by the Frobenius norm |A|.
     """
     k = len(scale)
     entries = (matrices * scale).transpose(2, 1, 0).reshape(k * k, -1)

@@ -58,11 +58,8 @@ class VirtualStage:
     def read(
         self, truth: Array, expected: Array, controller: Array | None, normals: Array
     ) -> VirtualReadings:
-        """Readings of machines with parameters `truth` (m, n).
-
-        expected    (m, n) parameters for which readings are expected
-        controller  (m, np) parameters that the controllers use; None: nominal ones
-        normals     (m, readings) standard normal numbers that become the noise
+        """Readings of machines `truth` (m, n), expected at (m, n), by controllers (m,
+        np) or nominal ones, with normal numbers (m, readings) for the noise.
         """
         measurement = self.measurement
         sent = tuple(self._send(s, controller) for s in self.series)

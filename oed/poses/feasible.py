@@ -376,13 +376,8 @@ class ReadingLimits:
     def travel_probability(
         self, measurement: Measurement, series: Series, covariance: Array
     ) -> Array:
-        """Probability (N,) that a reading's first channel stays within the travel.
-
-        The machine is drawn from N(nominal, covariance); first order in theta, SI.
-
-        covariance  (n_theta, n_theta)
-
-        Raises ValueError where no travel is stated, or the covariance does not fit.
+        """Probability (N,) that a reading's first channel stays within the travel, of
+        machines N(nominal, covariance), SI. Raises ValueError without one.
         """
         from scipy.special import ndtr  # takes a tenth of a second to import
 

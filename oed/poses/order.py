@@ -161,11 +161,8 @@ PLACE_SETTINGS = ("at_x", "at_y", "at_z")
 
 
 def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
-    """Seconds (n, m) from `before` (n, k) to `after` (m, k), joints or commands, SI.
-
-    The time is the largest move over its speed (k,), or over one speed for all. Joints
-    that move together at full speed take that; a straight move in the command takes
-    longer.
+    """Seconds (n, m) from `before` (n, k) to `after` (m, k), joints or commands, SI:
+    the largest move over its speed (k,), or over one speed for all.
     """
     speed = np.broadcast_to(np.asarray(speeds, dtype=float), before.shape[1:])
     if not (speed > 0.0).all():
@@ -621,9 +618,7 @@ class ReadingOrder:
         """The readings with those of a thermal reference in between; the time, s.
 
         command  (n_dof,) of the reference, SI; None: that of the first reading
-        every    longest time between two reference readings, s
-
-        Raises ValueError where a run alone takes longer.
+        every    longest time between two, s; ValueError where a run takes longer
         """
         commands = self.series.reading_commands()
         setup = self.series.setup

@@ -182,12 +182,8 @@ def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
 
 
 def worth(theta: Array, chosen: Index) -> Array:
-    """Number of independent draws (n,) that draws are worth; NaN for what does not move.
-
-    theta  (m, n) of the proposals
-
-    For draws with repetitions c about a mean, it is the variance of one over that of the
-    mean: m sum c x^2 / sum c^2 x^2.
+    """Independent draws (n,) that draws of theta (m, n) are worth, by repetitions c
+    about a mean: m sum c x^2 / sum c^2 x^2; NaN for what does not move.
     """
     counts = np.bincount(chosen, minlength=len(theta)).astype(float)[:, None]
     values = np.full(theta.shape[1], np.nan)
@@ -239,9 +235,6 @@ def sample_independent(
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Posterior | None, Proposals, float]:
     """Independent draws worth `ess`, or None; the proposals and k of their weights.
-
-    max_draws  draws at most
-
     Raises KeyboardInterrupt, OutOfBoundsError.
     """
     proposal = proposal_of(target, rng)

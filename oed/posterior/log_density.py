@@ -386,12 +386,9 @@ class LogDensity:
     def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.
 
-        A null direction is straight to first order only: turning joints by a
-        millimetre's tolerance moves a reading by a micrometre to second order. Gauss-Newton
-        steps over the identifiable coordinates take that out: two for the draws that the
-        first moves farthest, until some need no second one. Their prior holds what the
-        readings hardly determine: without it what a second-order change leaves there is
-        divided by next to nothing.
+        A null direction is straight to first order only. Gauss-Newton steps over the
+        identifiable coordinates, with their prior, take the second order out, until
+        none needs a further one.
         """
         if not self.coordinates.null_basis.size:
             return theta

@@ -72,11 +72,8 @@ class Determinant(Criterion):
         return -float(log_det) / self.size if sign > 0 else -np.inf
 
     def support(self, m: Array) -> Support:
-        """Root M^-1 K P^-1/2 / sqrt(s).
-
-        For every G (n, s), det(P')^(-1/s) <= tr(G^T M' G) / s / det(G^T K)^(2/s), and
-        the line's height is computed from the root: rounding of the root itself never
-        brings the line below phi.
+        """Root M^-1 K P^-1/2 / sqrt(s): for every G (n, s), det(P')^(-1/s) <= tr(G^T M'
+        G) / s / det(G^T K)^(2/s), so that no rounding brings the line below phi.
         """
         half = _half(m)
         if self.interest is None:

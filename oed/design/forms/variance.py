@@ -61,11 +61,8 @@ class Variance(Criterion):
         )
 
     def support(self, m: Array) -> Support:
-        """Root M^-1 F^T / sqrt(t).
-
-        For every R (n, r), 1 / t' <= tr(R^T M' R) / tr(F R)^2 (Cauchy and Schwarz), and
-        the line's height is computed from the root: rounding of the root itself never
-        brings the line below phi.
+        """Root M^-1 F^T / sqrt(t): for every R (n, r), 1 / t' <= tr(R^T M' R) / tr(F
+        R)^2 (Cauchy and Schwarz), so that no rounding brings the line below phi.
         """
         half = np.linalg.inv(np.linalg.cholesky(m))
         projected = half @ self.factor.T

@@ -47,11 +47,8 @@ def settle(
     law: NoiseLaw,
     outlying: Array,
 ) -> Settled:
-    """The readings linearised where forms explain them best, by Gauss-Newton steps.
-
-    outlying  (N,) what the residuals gain without outliers, in units of the noise
-
-    Where the steps lead nowhere, the problem as it was, with a departure of infinity.
+    """The readings linearised where forms explain them best, by Gauss-Newton steps,
+    less what `outlying` (N,) gains; else as they were, with a departure of infinity.
     """
     fit = _PointFit(problem, forms, law, outlying)
     point = fit.start()

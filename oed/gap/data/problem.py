@@ -178,11 +178,8 @@ def exact_readings(
     states: Sequence[State],
     acting: Iterable[tuple[Effect, Mapping[str, float], Mapping[str, float]]],
 ) -> Array:
-    """Noise-free readings (N,) of a machine with effects, through the exact closure.
-
-    theta     (n,) parameters of the machine
-    acting    for each effect its constants and its coefficients by name, as factors on
-              their prior standard deviations
+    """Noise-free readings (N,) of a machine theta (n,) through the exact closure, with
+    the constants of acting effects and coefficients as factors on prior sd.
     """
     acting = list(acting)
     parts = []
