@@ -302,10 +302,8 @@ class BudgetModel:
     ) -> "Budget":
         """The budget of errors `maps.raw` (n, k, p) @ delta.
 
-        estimated  covariance (p, p), SI, of the estimate, where the noise was integrated
-                   over; that of the readings by default
-        predicted  (k,) variance that is predicted with what is not linear, mean over the
-                   workspace, SI
+        estimated  covariance (p, p), SI; that of the readings by default
+        predicted  (k,) mean variance that is predicted with what is not linear, SI
         """
         products = mean_products(maps.raw)
         lines = [_line(self, products, part) for part in self.parts()]

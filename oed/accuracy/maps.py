@@ -129,13 +129,9 @@ def relative_to_reference(
 ) -> Array:
     """Twist errors (n, 6) of one machine, relative to the reference.
 
-    home_twist  (1, 6) error at the home pose
-    model       error model at the n poses; home, at the home pose
-    lever       m; weighs rotations against lengths in the best fit
-
-    Unlike the linear maps, zeroing at home composes finite rotations: a lost spin of
-    milliradians times an orientation error would otherwise look like an error of its
-    own.
+    home_twist (1, 6) is the error at home, `lever` (m) weighs rotations in the best
+    fit. Zeroing at home composes finite rotations: a lost spin of milliradians times an
+    orientation error would otherwise look like an error of its own.
     """
     if reference != "home":
         columns = np.concatenate([twist, home_twist])[:, :, None]

@@ -230,12 +230,9 @@ def check_session(
 ) -> CheckedSession:
     """Check readings against tolerances, noise, the usual mistakes, and each other.
 
-    measurement  the machine with all set-ups of the study
-
-    `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
-    in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.fit_limits.GUESS_RATIO` times as large are no bad fit. Raises AssemblyError where
-    the nominal machine cannot be read.
+    `rng` draws machines where ranges are not linear. Where the noise law is estimated,
+    what it holds is no misfit; of a guessed noise neither are residuals up to
+    `oed.fit_limits.GUESS_RATIO` times as large. Raises AssemblyError.
     """
     ranges = session.predict_ranges(rng)
     outside = ranges.outside(session.y)

@@ -141,11 +141,8 @@ def goodness_of_delivered(
     estimate: Estimate,
     doubtful: Mask | None = None,
 ) -> Goodness:
-    """Goodness of the parameters that are delivered, of readings y (N,), SI.
-
-    doubtful  (N,) values that are fitted, and that chi2 leaves out
-
-    Where the law is estimated, the readings are judged by it as well.
+    """Goodness of delivered parameters, of readings y (N,), SI, without `doubtful` (N,)
+    ones, by the law as well where it is estimated.
     """
     fitted = goodness_of_estimate(measurement, series, estimate, doubtful)
     posterior, robust = estimate.noise_posterior, estimate.robust_readings

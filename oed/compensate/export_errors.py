@@ -59,13 +59,9 @@ def interpolation_errors(
     rng: np.random.Generator,
     further: FurtherAxes,
 ) -> Array:
-    """Errors (n, k), SI, at random places of a table of joint corrections and offsets.
-
-    The controller has the nominal model. It adds corrections, linear between the
-    commands of the grid, at home too; those of home where the grid does not reach it.
-    Further axes, if any, take back offsets that are interpolated alike.
-
-    Raises AssemblyError.
+    """Errors (n, k), SI, at random places of a table of joint corrections and offsets,
+    which a controller of the nominal model interpolates alike, at home too. Raises
+    AssemblyError.
     """
     nominal = kinematics.machine.nominal
     nq = len(kinematics.machine.joints)

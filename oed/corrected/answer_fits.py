@@ -195,12 +195,8 @@ class AnswerFits:
         contents: Sequence[AnswerContent],
         without_effects: Estimate,
     ) -> AnswerMixture | None:
-        """The mixture over the answers that are probable enough; None without any.
-
-        contents         of the answers, as in a Diagnosis
-        without_effects  the fit of the geometry alone, with no gap
-
-        An answer that no fit follows is left out.
+        """The mixture over the `contents` that are probable enough and have a fit; None
+        without any. `without_effects` is the fit of the geometry alone.
         """
         fitted = [
             posterior

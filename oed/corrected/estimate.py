@@ -114,8 +114,7 @@ class CorrectedEstimate:
     ) -> CorrectedAccuracy:
         """Predict the residual accuracy at commands (n, n_dof), SI.
 
-        draws  (m, n_all) posterior draws of theta; the normal approximation by default
-        worth  number of independent draws that these are worth; m by default
+        draws  (m, n_all) of theta; the normal approximation by default, `worth` as many
         plain  (np,) other parameters to compare with, as those of a fit without effects
         """
         return _predict(self, command, reference, rng, draws, worth, plain)

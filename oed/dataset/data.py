@@ -31,11 +31,9 @@ DIGEST_BYTES = 6
 def reading_digests(
     series: Sequence[Series], y: Array, setups: Mapping[str, Setup]
 ) -> list[str]:
-    """Sorted digests of readings y (N,), SI, that were taken.
-
-    A digest is of the pose, or of the joints where these were recorded, of the channel
-    and of its value, to nine digits. Names of set-ups and runs, order, time and other
-    covariates have no part in it, since a second file of a session may have others.
+    """Sorted digests of readings y (N,), SI, that were taken: of pose or recorded
+    joints, channel and value, to nine digits. A second file of a session may have other
+    names, order, times and covariates.
     """
     distinct: set[str] = set()
     start = 0
@@ -228,13 +226,9 @@ def from_series(
     measurement: Measurement,
     covariates: pd.DataFrame | None = None,
 ) -> Dataset:
-    """Make a dataset of planned series.
-
-    y           (N,) readings, SI, NaN where not taken
-    covariates  one row a reading
-
-    The order counts within each run. Where several series of one set-up use a run name,
-    the later ones get a number.
+    """A dataset of planned series, y (N,), SI, or NaN where not taken, with a row of
+    covariates a reading; a run's name that an earlier series of the set-up has gets a
+    number.
     """
     import pandas as pd  # digests of readings need no tables
 
@@ -276,12 +270,9 @@ def _runs(setup: str, run: Iterable[str]) -> set[tuple[str, str]]:
 def to_csv(
     dataset: Dataset, comments: Callable[[Sequence[str]], Sequence[str]] | None = None
 ) -> str:
-    """The text of a readings file.
-
-    References of runs are rows of their own. Readings that are NaN give empty cells, to
-    be filled in; where the joints are the measurement, these are the joints' cells.
-
-    comments  lines above the header, from the names of the columns
+    """The text of a readings file below `comments` on its columns' names. References of
+    runs are rows of their own; readings that are NaN, or joints in their stead, are
+    empty cells.
     """
     rows: list[dict[str, str]] = []
     lines = consecutive_slices([len(s) for s in dataset.series])

@@ -254,9 +254,8 @@ class Candidates:
         """Rules over these candidates.
 
         mounted  set-ups that are mounted already
-        apart    (d,) least distance along each command coordinate, SI; two readings of
-                 a set-up are too near where their commands over `apart` are nearer than
-                 1 in the norm
+        apart    (d,) least distance along each command coordinate of two readings of a
+        set-up, SI, in the norm
         """
         position = None
         if apart is not None:

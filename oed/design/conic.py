@@ -251,12 +251,9 @@ def relax(
     limits: tuple[Array, Array] | None = None,
     solver: Solver = "CLARABEL",
 ) -> Relaxation:
-    """Optimal weights of candidates (C, n) or (C, k, n), value and bound as log phi.
-
-    limits are (L, C) rows and (L,) upper: rows w <= upper. For kappa and O2 log phi is
-    -log kappa. Raises ValueError where no weights keep size, caps and limits, where
-    candidates and prior leave directions undetermined, or for a criterion that has no
-    conic form here.
+    """Optimal weights of candidates (C, n) or (C, k, n), value and bound as log phi,
+    under limits rows w <= upper. Raises ValueError where no weights keep size, caps and
+    limits, for undetermined directions, or for a criterion that has no conic form here.
     """
     blocks = block_array(rows)
     count, _, n = blocks.shape

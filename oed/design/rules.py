@@ -299,10 +299,8 @@ class Rules:
         weights: Array | None,
         rng: np.random.Generator | None = None,
     ) -> Array | None:
-        """Numbers (G,) in the quotas' classes for completing a plan.
-
-        The numbers are nearest to the sums of weights (C,), even ones by default; a
-        generator varies the sums. None without quotas, or where the plan cannot be
+        """Numbers (G,) in the quotas' classes for completing a plan, nearest to sums of
+        weights (C,), varied by a generator. None without quotas, or where it cannot be
         completed.
         """
         if self.quotas is None:
@@ -418,12 +416,9 @@ class Rules:
 
     # -- convex problems that hold every plan ------------------------------------------
     def relaxations(self, count: int) -> Iterator[RelaxedRules]:
-        """Convex problems that together hold every plan under the rules.
-
-        A first level runs over combinations of set-ups, or over all set-ups at once
-        where there are too many combinations. The second level holds the number and
-        the budget. A plan's value is at most the largest, over the first level, of the
-        smallest bound over the second.
+        """Convex problems that together hold every plan under the rules: a plan's value
+        is at most the largest, over combinations of set-ups, of the least bound by
+        number and budget.
         """
         for candidates, mounting in self._combinations(count):
             if self.size is not None:

@@ -295,11 +295,9 @@ class Effect:
         return dataclasses.replace(self, constants={**self.constants, **values})
 
     def with_expected_size(self, unit: str, size: float) -> "Effect":
-        """The effect with its coefficients of an SI unit expected to be `size`, SI.
-
-        The largest of them gets that prior standard deviation; the others, what lets
-        the form depart from the textbook's, and constants that are lengths in
-        proportion to the size, keep their ratio to it.
+        """The effect with its largest coefficient of an SI unit of prior sd `size`, SI;
+        the others, the form's departures, and constants that are lengths keep their
+        ratio.
         """
         columns = functools.partial(_sized_columns, self, unit, size)
         if unit != "m":

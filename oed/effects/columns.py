@@ -258,11 +258,9 @@ class ExpectedColumns:
     def of(
         cls, problem: GapProblem, effects: Sequence[Effect], *, unknown: bool = True
     ) -> ExpectedColumns | None:
-        """Columns of the effects that the machine can have, and by default of unknown ones.
-
-        Unknown effects are as large as known ones usually are: their unit changes the
-        readings that they change at all by the median of what known ones do to these at their
-        expected sizes. None where no effect changes a reading.
+        """Columns of the machine's effects, and of unknown ones as large as known ones
+        usually are, by the median change of readings. None where no effect changes a
+        reading.
         """
         machine = problem.measurement.machine
         forms: list[ActingForm] = []

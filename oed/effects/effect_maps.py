@@ -110,16 +110,13 @@ class SessionStates:
         tool: Array = NO_TOOL,
         still: bool = False,
     ) -> State:
-        """The machine's state at commands, then at home, in drawn states of the session.
+        """The machine's state at commands of a tool point (3,), then at home, in states
+        drawn from the session's.
 
-        The commands are those of a tool point (3,), which no set-up's tool replaces. The
-        joints are those of a controller that knows the parameters `theta`: where an effect is
-        periodic in them, a correction of some tenths of a millimetre shifts its phase. The
-        machine moves from one command to the next, or stands at each of them (`still`).
-
-        At home the states are those of the session's first reading. Covariates that the
-        machine is used at are drawn from their values, each by itself. Unless a feed is among
-        them, joints go no faster than in the session.
+        Joints are those of a controller that knows `theta`: where an effect is
+        periodic, a correction of some tenths of a millimetre shifts its phase. The
+        machine moves from command to command, or stands (`still`), no faster than in
+        the session.
         """
         measurement, first = self.measurement, self.states[0]
         poses = measurement.machine.and_home(command, tool)

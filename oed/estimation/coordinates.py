@@ -91,11 +91,9 @@ class IdentifiableCoordinates:
         exact: Array,
         start: Array,
     ) -> Array:
-        """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,).
-
-        It is what readings can say of a machine: a lost direction of a millimetre moves
-        the machine's own coordinates by micrometres, to second order, and its readings not
-        at all. A fit in units of the stated noise, without a prior.
+        """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,):
+        what readings say of a machine. A lost direction of a millimetre moves its own
+        coordinates by micrometres.
         """
         noise = Noise(measurement.sigma(series))
         origin = self.origin[None]

@@ -80,15 +80,12 @@ def minimise(
     precision: float = MAX_LAST_STEP,
     steps: int = MAX_STEPS,
 ) -> Minima:
-    """Minima from z `start` (m, k).
+    """Minima from z `start` (m, k), of prior weights w (k,), in so many steps a
+    machine.
 
-    weight     w (k,) of the prior
-    precision  distance to the minimum, in posterior standard deviations, below which a
-               step is the last one
-    steps      at most, for each machine
+    precision  distance to the minimum, in posterior sd, below which a step is the last
 
-    A machine whose residuals cannot be computed at the start, or whose slopes cannot
-    be computed at a point, does not converge.
+    A machine whose residuals or slopes cannot be computed does not converge.
     """
     search = _Steps(problem, start, np.broadcast_to(weight, start.shape[1:]))
     active = np.flatnonzero(np.isfinite(search.cost))

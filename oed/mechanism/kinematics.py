@@ -100,11 +100,9 @@ def corrected_commands(
 
 
 def _compensated_equations(machine: Machine) -> BatchedFunction:
-    """Equations of a machine whose controller has the nominal model, and their slopes.
-
-    Over the real pose, the pose that the controller means, and the joints: the machine
-    settles, the controller's closure holds, and the real pose is what the command wants.
-    Further inputs are real parameters, commands and tool.
+    """Equations of a machine over its real pose, the pose that a controller of the
+    nominal model means, and the joints, and their slopes; inputs are parameters,
+    commands, tool.
     """
     e = machine_expressions(machine)
     believed = ca.SX.sym("believed", e.x.numel())
@@ -321,11 +319,9 @@ class Kinematics:
         step_tolerance: float = newton.STEP_TOLERANCE,
         wanted: Mask | None = None,
     ) -> tuple[Array, Mask]:
-        """As `forward`, with a mask (n,) or (m, n) of failed poses in place of an error.
-
-        Newton stops after a step (m, rad) shorter than `step_tolerance`, which leaves
-        an error of about step_tolerance^2 / lever. Poses that are not `wanted` (m, n)
-        count as failed.
+        """As `forward`, with a mask (n,) or (m, n) of failed poses in place of an
+        error; Newton stops after a step (m, rad) below `step_tolerance`. Not `wanted`
+        (m, n) are failed.
         """
         q, vectors = np.atleast_2d(q), np.atleast_2d(p)
         arguments = (q, vectors, start, step_tolerance)

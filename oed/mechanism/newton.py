@@ -29,14 +29,10 @@ def solve(
     limited: int | None = None,
     longest: float = MAX_STEP,
 ) -> tuple[Array, Mask]:
-    """Solve for all rows of z (n, k), in place; rows are left alone once they converge.
+    """Solve for all rows of z (n, k), in place, each until a step (m, rad) below the
+    tolerance; the mask (n,) of rows that failed.
 
-    step_tolerance  size of a step (m, rad) after which a row has converged
-    limited         number of leading entries whose steps are limited, all by default:
-                    a pose; joints may count turns
-    longest         longest step of these entries
-
-    Returns z, and the mask (n,) of the rows that failed.
+    limited  number of leading entries (a pose) whose steps are at most `longest`
     """
     failed = np.zeros(z.shape[0], dtype=bool)
     for active in blocks(len(z)):

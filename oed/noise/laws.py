@@ -124,12 +124,9 @@ class Laws:
         return LinearFactor(self.errors(structure))
 
     def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:
-        """Errors of readings under the first law, in units of the stated noise.
-
-        rows  (k,) readings that are taken, all by default
-
-        Their shared columns are those of the structure, times their sizes. With a course all
-        readings are one segment, and each run has columns of its own.
+        """Errors of the readings, `rows` (k,) of them, under the first law, over the
+        stated noise. With a course all are one segment, in which each run has columns
+        of its own.
         """
         chain = structure.chain
         order = np.lexsort((structure.position, chain))

@@ -123,14 +123,9 @@ class DrawnLaws:
 def draw_laws(
     cost: Cost, starts: Array, farthest: float, *, points: int, draws: int
 ) -> DrawnLaws:
-    """Draw laws by their cost, spread along the widest axis of the posterior.
-
-    starts    (s, d) coordinates from which the mode is sought
-    farthest  largest coordinate
-    points    number of those by which the integral is computed
-
-    Where there is no coordinate, or the mode is in a corner, as where rows are copies of
-    others, one law is possible.
+    """Draw laws by their cost from starts (s, d), spread along the posterior's widest
+    axis; one where there is no coordinate, or a mode in a corner, as by rows that are
+    copies.
     """
     mode, sample = starts[0], starts[:0]
     if starts.shape[1]:

@@ -165,13 +165,10 @@ def detect_outliers(
     densities: Sequence[ErrorDensity] = CANDIDATE_DENSITIES,
     statement: NoiseStatement = NOTHING_STATED,
 ) -> Outliers | None:
-    """Outliers of residuals (N,) whose covariance is wide enough to hold any gap, so
-    that no gap is taken for one; None where tails are light.
+    """Outliers of residuals (N,) whose covariance is wide enough for any gap; None
+    where tails are light, by `densities` or stated ones.
 
-    densities  that are tried; stated tails go before them, and need no evidence
-
-    By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
-    these without their outliers.
+    By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others.
     """
     stated = stated_densities(statement)
     least = MIN_LOG_RATIO if stated is None else -np.inf

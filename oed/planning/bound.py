@@ -255,15 +255,9 @@ def bound_goal(
     *,
     loss: float = 0.05,
 ) -> GoalBound:
-    """Bound the goal over all plans of at most `stages` options within `budget` (s).
-
-    Lines are added until a plan with `value` is certified to be within the share `loss`
-    of the best plan, or until there are MAX_LINES of them.
-
-    information  (n, n) about the machine before
-    rng          draws the machines that no reading captures
-
-    Raises ValueError where there are too many combinations.
+    """Bound the goal over all plans of at most `stages` options within `budget` (s), by
+    lines until `value` is certified within `loss`, or MAX_LINES. Raises ValueError for
+    too many combinations.
     """
     mounting = np.array([option.mounting_seconds for option in options])
     combinations = _combinations(mounting, budget, stages)

@@ -378,12 +378,10 @@ def predict_stage(
     exact: bool = True,
     draws: int | None = None,
 ) -> PlanStage:
-    """Predict what a stage with the chosen candidates leaves.
+    """Predict what a stage with the chosen candidates leaves, of probability (C,).
 
-    probability  (C,) that each candidate of the option is captured, given the prior
-    exact        False: a first look, with few machines and no linearisation residual
-    draws        machines drawn where readings can be lost; half as many are drawn for
-                 the linearisation residual
+    exact  False: a first look, with few machines and no linearisation residual
+    draws  machines drawn where readings can be lost; half for the residual
     """
     chosen = np.sort(chosen)
     knowledge = make_knowledge(prior)

@@ -52,11 +52,8 @@ class PlanStreams:
 
     @classmethod
     def seeded(cls, seed: int | Sequence[int]) -> "PlanStreams":
-        """The streams of one search; the seed is for the first look at partial plans.
-
-        The others do not follow it. All searches of a study (other budgets, other stages,
-        without a measurement) then judge their plans by the same drawn machines, and so
-        do studies with other seeds: their values can be compared.
+        """The streams of one search; only the first look at partial plans follows the
+        seed. All searches of a study so judge their plans by the same drawn machines.
         """
         return cls(
             first_look=np.random.default_rng(seed),

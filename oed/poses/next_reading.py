@@ -114,11 +114,10 @@ class Belief:
     ) -> tuple[list[int], int] | None:
         """A plan for the fewest readings that reach all limits, and their number n.
 
-        Single best ones until the limits are reached; then one after the other is left out,
-        and exchanges make up for it. The plan is the first that fails, of n - 1 readings:
-        the one that lacks least. What the next readings show may make it suffice, so that a
-        session which follows it ends sooner than with n readings that just reach. None where
-        `most` candidates do not reach the limits; an empty plan where they are reached.
+        Best ones are added, then left out one by one while exchanges make up for it.
+        The plan is the first that fails, of n - 1: what they show may make it suffice.
+        None where `most` candidates do not reach the limits; empty where they are
+        reached.
         """
         chosen: list[int] = []
         updated = self
