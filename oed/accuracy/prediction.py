@@ -1,14 +1,8 @@
 """Residual accuracy over the workspace, before and after compensation.
 
-With parameter errors dp = dp_hat + delta, where delta ~ N(0, Sigma) is what the
-identification does not determine, the pose error of the compensated machine is, to
-first order,
-
-    e = R dp_hat + A delta        (R: `remaining`, A: `raw` of the error model).
-
 Compensatable components keep only A delta. The others keep R dp_hat as well, which is
-known: an additional axis (an X-Y table) can correct it, and then A delta remains there too.
-Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
+known: an additional axis (an X-Y table) can correct it, and then A delta remains there
+too. Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
 tolerances).
 """
 

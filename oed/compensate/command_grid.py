@@ -1,10 +1,8 @@
 """Grids of commands, as fine as the interpolation of corrections between them needs.
 
-Multilinear interpolation is a product of interpolations along the axes. To leading
-order its error is the sum of theirs, each falling with the square of the number of
-intervals. So the axis whose error has the largest product with the whole error, in the
-worst component, gets the next nodes: along all axes that product falls at the same rate
-per node of the table.
+The axis whose error has the largest product with the whole error, in the worst
+component, gets the next nodes: along all axes that product falls at the same rate per
+node.
 """
 
 import dataclasses

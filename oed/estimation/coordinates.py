@@ -1,12 +1,9 @@
-"""Identifiable coordinates: the directions that some reading determines, and the others.
+"""Identifiable coordinates: the directions that some reading determines, and the
+others.
 
-With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
-
-    theta = origin + T V_r z,        z ~ N(0, I) a priori,
-
-(T S in place of T where tolerances are correlated, S the root of their correlation)
-where V_r spans the directions that some reading determines. The others keep their
-prior: to first order no reading says anything about them.
+theta = origin + T V_r z with z ~ N(0, I) a priori (T S in place of T where tolerances
+are correlated, S the root of their correlation). V_r spans the directions that the
+whitened, tolerance-scaled H = U S V^T determines. The others keep their prior.
 """
 
 import dataclasses

@@ -1,13 +1,10 @@
 """Identification: a fit of the exact nonlinear readings, with tolerance priors.
 
-Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (see
-`oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
-estimated from the readings too and integrated over (`oed.noise_law.marginal`): theta is the
-mean over laws, its covariance holds what is not known of the noise.
-
-Many machines at once, with known noise, are fitted over u, theta = nominal + T u, T the
-root of the prior covariance. The minimum is the same: where the gradient is zero, u has no
-part in the directions that no reading determines.
+Where asked for, the noise law is estimated from the readings too and integrated over
+(`oed.noise_law.marginal`): theta is the mean over laws, its covariance holds what is
+not known of the noise. Many machines at once, with known noise, are fitted over u,
+theta = nominal + T u, T the root of the prior covariance: at the minimum u has no part
+in directions that no reading determines.
 """
 
 import dataclasses

@@ -1,9 +1,7 @@
 """One CasADi function over many points at once, without copies or a Python loop.
 
-Three ways lead to the same digits: CasADi's interpreter for some points, NumPy operations
-for many (`oed.mechanism.tape`), and a function that the C compiler of this computer made
-(`oed.mechanism.compiled`). The compiled one is taken where it is known to be there, and
-made beside the work once that has lasted a while.
+A compiled function is taken where it is known to be there, and made beside the work
+once that has lasted a while; all ways lead to the same digits.
 """
 
 import functools

@@ -1,21 +1,10 @@
 """Inverse and forward kinematics of a machine and their derivatives, from its closure.
 
-With the closure phi(x, q, p) = 0:
-
-* the controller (inverse): given a command c and the parameters it believes in, find
-  pose and joints with phi = 0 and commanded(x) = target(c);
-* the machine (forward): given joints q and true parameters p, find x with phi = 0 by
-  Newton's method;
-* dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function
-  theorem).
-
 A redundant machine has more equations than pose components: joints that disagree leave
 no pose with phi = 0. It settles where the sum of squares of phi is least, as on equally
-stiff legs: phi_x^T phi = 0. These are as many equations as unknowns and take the place
-of phi above, so that poses and slopes are exact whatever the misfit. Where legs are not
-equally stiff, scale the rows of the closure by their compliance.
-
-All functions run over many poses and many parameter vectors at once.
+stiff legs: phi_x^T phi = 0. These equations take the place of phi, so that poses and
+slopes are exact whatever the misfit. Where legs are not equally stiff, scale the rows
+of the closure by their compliance.
 """
 
 import copy

@@ -1,10 +1,6 @@
 """Slopes of poses over parameters and joints, and of what readings see of them.
 
-With phi(x, q, p) = 0, dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q (implicit
-function theorem). With g = dy/dx of a reading at a pose, its slopes over the parameters are
-
-    g dx/dp = -(g phi_x^-1) phi_p,
-
+With g = dy/dx of a reading at a pose, its slopes are g dx/dp = -(g phi_x^-1) phi_p,
 where the bracket comes first: one row a reading, and not one column a parameter. Of a
 pose that many readings see, as a taught one, dx/dp comes first.
 """

@@ -1,9 +1,4 @@
-"""Systems of equations at many points in NumPy: Newton's method, and rows by adjoints.
-
-Every number is computed as `newton.h`, `adjoint.h` and `elimination.h` of
-`oed.mechanism.compiled` do, in the same order, and no point changes another. So compiled
-functions take over at any time, and no digit changes.
-"""
+"""Newton's method and rows by adjoints at many points in NumPy, digit by digit as compiled."""
 
 import math
 from collections.abc import Callable

@@ -1,10 +1,7 @@
 """A CasADi function at many points: instruction by instruction, or point by point.
 
-CasADi's interpreter does all instructions at one point, then at the next. For hundreds of
-points the same instructions run faster one after the other, each as a NumPy operation
-over all of them. Both do the same operations on the same numbers, and what NumPy would
-round differently (sines and other functions of the C library) runs in the interpreter in
-both: so a point's digits are the same.
+What NumPy would round differently (sines and other functions of the C library) runs in
+CasADi's interpreter in both ways, so that a point's digits are the same.
 """
 
 import functools

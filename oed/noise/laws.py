@@ -1,15 +1,8 @@
 """Noise laws of readings: their covariance in linear time, whitening, draws.
 
-In units of the stated noise, a chain of readings (one channel of a run) has the error
-
-    e_k = s [ sqrt(1 - f) white_k + sqrt(f) correlated_k + a level + c . seat + shared
-              + d . course ]
-
-with white_k and level independent standard normal, correlated_k an Ornstein-Uhlenbeck
-process with correlation exp(-|k - l| / reach), s the channel's own scale, seat the
-unknowns of the set-up that the run seats anew, with slopes c, and shared the errors that
-instrument and study state. The course of the session goes through all runs
-(`oed.measurement.noise_structure`).
+The error of a reading is, beside what the README has, c . seat: the unknowns that its
+run seats anew, with slopes c. Shared are the errors that instrument and study state,
+and the course of the session through all runs (`oed.measurement.noise_structure`).
 """
 
 import dataclasses

@@ -1,14 +1,12 @@
 """The noise law, integrated over: its posterior given readings and a linear model.
 
-For standardised residuals r about an estimate c of z ~ N(0, I), r = H (z - c) + e, and
-e of a law with coordinates u,
-
-    log p(r | u) = -1/2 [ log |C| + log |A| + r^T C^-1 r + c^T c - b^T A^-1 b ],
-    A = I + H^T C^-1 H,    b = H^T C^-1 r - c,
-
-the marginal likelihood with the parameters z integrated out (restricted likelihood with
+The marginal likelihood has the parameters z integrated out (restricted likelihood with
 a proper prior; Patterson and Thompson 1971). Laws are drawn where they are probable and
-weighted: estimates are means over laws, not those of the best one.
+weighted: estimates are means over laws, not those of the best one. The posterior may be
+steep on one side of its mode and have a long, crooked tail: a split Student (Geweke
+1989, Econometrica 57, 1317-1339) and kernels at the weighted draws (Cappe et al. 2004,
+J. Comput. Graph. Stat. 13, 907-929) follow it, at Sobol points, so that laws are those
+of the readings.
 """
 
 from __future__ import annotations

@@ -1,11 +1,5 @@
 """One stage of a plan: its readings, its time, and the knowledge that it leaves.
 
-Before a stage, the machine's parameters have the information L = S^-1. Captured
-readings (`travel`) add the information M, and the set-ups' parameters s are profiled
-out of machine parameters m:
-
-    L' = L + M_mm - M_ms (1 + M_ss)^-1 M_sm.
-
 A machine that is far off loses nearly all readings, and will lose those of the next
 stage as well. Where readings can be lost, machines are drawn, and
 each carries its own covariance and error. The linearisation residual is estimated from

@@ -1,14 +1,12 @@
 """Independent draws of the posterior by importance sampling, checked by their weights.
 
-Proposals x with density q get weights p(x) / q(x). The largest weights are replaced by
-quantiles of the generalised Pareto distribution that fits them (PSIS; Vehtari, Simpson,
-Gelman, Yao and Gabry 2024, Journal of Machine Learning Research 25(72)). Its shape k says
-whether means converge: above min(1 - 1 / log10(count), 0.7) they do not, and the weights
-are not used. Else draws are taken by their weights, so that all count alike.
+The shape k of the weights' tail says whether means converge: above min(1 - 1 /
+log10(count), 0.7) they do not, and the weights are not used.
 
-Proposals are Student t about the estimate. With an estimated noise law the posterior is wide
-where the noise is large: the law is drawn first, from kernels at laws that are probable,
-and the parameters from the Student t that the linear model has under this law.
+Proposals are Student t about the estimate. With an estimated noise law the posterior is
+wide where the noise is large: the law is drawn first, from kernels at laws that are
+probable, and the parameters from the Student t that the linear model has under this
+law.
 """
 
 import dataclasses

@@ -1,25 +1,17 @@
 """Log posterior density of the readings in identifiable coordinates, for a sampler.
 
-    log p(z, u | y) = -1/2 [ |z|^2 + |u|^2 + r^T C(u)^-1 r + log |C(u)| ],
-    r = y - f(theta(z)).
-
-z are the identifiable coordinates (`oed.estimation.coordinates`), u those of the noise law
-(`oed.noise_law.prior`), sampled where the law is estimated, so that few readings give wide
-tails.
-
-Directions that no reading determines have coordinates w, standard normal a priori. They are
-straight to first order only: a move by a millimetre's tolerance changes readings to second
-order. z moves against it,
+Directions that no reading determines have coordinates w, standard normal a priori. They
+are straight to first order only: a move by a millimetre's tolerance changes readings to
+second order. z moves against it,
 
     theta(z, w) = origin + basis (z - b(w)) + null_basis w,        b quadratic,
 
-a change of coordinates of Jacobian 1, so that one reading of the machine at theta(z, w) gives
-the density of z and w together. b only has to be near: what it leaves is in the density.
+a change of coordinates of Jacobian 1, so that one reading of the machine at theta(z, w)
+gives the density of z and w together. b only has to be near: what it leaves is in the
+density.
 
-Without sampling, draws come from the approximation about an estimate: under each noise law
-the identifiable coordinates are normal, and laws are drawn by their weight. Lost directions
-are drawn from their prior and followed exactly, by Gauss-Newton steps: the readings stay as
-they were, however far a lost direction leads.
+Without sampling, z is normal under each noise law, laws are drawn by their weight, and
+lost directions from their prior, followed exactly by Gauss-Newton steps.
 """
 
 import dataclasses

@@ -1,10 +1,6 @@
 """Posterior of the full nonlinear model: independent draws, or emcee where they fail.
 
-Independent draws come from importance sampling about the estimate; the tail of their
-weights says whether they may be used (`oed.posterior.importance`). Where not, emcee
-samples, started from them (`oed.posterior.chains`). Directions that no reading determines
-come from their prior. Draws out of the bounds of parameters are left out: what stays
-are draws of the truncated posterior.
+Draws out of the bounds of parameters are left out: the others are of the truncated one.
 """
 
 import dataclasses

@@ -1,14 +1,4 @@
-"""Residuals of a calibration in units of their noise, with what it may still absorb.
-
-With theta_hat the fitted parameters, H their slopes and N(nominal, Lambda) their prior,
-readings are, to first order,
-
-    y = f(theta_hat) + H (theta - theta_hat) + G beta + e,      so that
-    r = y - f(theta_hat) + H (theta_hat - nominal) ~ N(G beta, Sigma + H Lambda H^T).
-
-Whatever value of theta the fit ended at, Lambda takes out what the parameters can
-explain, not the fit.
-"""
+"""Residuals of a calibration in units of their noise, with what it may still absorb."""
 
 import dataclasses
 import re
