@@ -1,4 +1,4 @@
-"""Newton's method and rows by adjoints at many points in NumPy, digit by digit as compiled."""
+"""Newton's method and adjoints at many points in NumPy, digit by digit as compiled."""
 
 import math
 from collections.abc import Callable
