@@ -1,8 +1,9 @@
 """The best next reading from a posterior: which candidate makes a goal most accurate.
 
-A candidate block H (k, n) of whitened rows lowers the covariance C of the columns by the
-Kalman update (README). The variance of the combinations F (r, n) is tr(W C) with W = F^T
-F. With the Cholesky factor L of I + H C H^T and G = L^-1 H C it falls by tr(G W G^T).
+A candidate block H (k, n) of whitened rows lowers the covariance C of the columns by
+the Kalman update (README). The variance of the combinations F (r, n) is tr(W C) with W
+= F^T F. With the Cholesky factor L of I + H C H^T and G = L^-1 H C it falls by tr(G W
+G^T).
 
 A step takes the candidate with the smallest sum of log variances over the goal's
 components: each counts by the share that it loses, whatever its unit.
