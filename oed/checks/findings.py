@@ -9,22 +9,15 @@ from oed.dataset import Row
 
 
 class Severity(enum.IntEnum):
-    """How much harm a finding does, the most harmful first.
+    """How much harm a finding does, the most harmful first."""
 
-    MISTAKE  a mistake explains the readings: nothing fitted to them is worth anything
-    BAD_FIT  the readings do not fit, and nothing explains why
-    COPIES   readings that no instrument took
-    ORDER    times that contradict the order of the readings, or each other
-    OUTLIER  single rows that are set aside
-    REMARK   what a user should know
-    """
-
+    #: a mistake explains the readings: nothing fitted to them is worth anything
     MISTAKE = 0
-    BAD_FIT = 1
-    COPIES = 2
-    ORDER = 3
-    OUTLIER = 4
-    REMARK = 5
+    BAD_FIT = 1  #: the readings do not fit, and nothing explains why
+    COPIES = 2  #: readings that no instrument took
+    ORDER = 3  #: times that contradict the order of the readings, or each other
+    OUTLIER = 4  #: single rows that are set aside
+    REMARK = 5  #: what a user should know
 
 
 #: kinds that an effect of the machine can mimic: a diagnosis tells them apart
