@@ -315,7 +315,7 @@ def first_fault_of_runs(
         return [_own_clocks(paced, column) or _clashing(paced, clash, column)]
     finding = (
         _run_in_other_unit(paced, column)
-        or _half_a_day_back(paced, column)
+        or _half_day_back(paced, column)
         or _overlapping(paced, column)
     )
     return [finding] if finding else []
@@ -477,9 +477,7 @@ def _share_poses(one: TimedRun, other: TimedRun) -> bool:
     return bool(np.mean(distance <= APART_SHARE) >= 0.5)
 
 
-def _half_a_day_back(
-    runs: Sequence[TimedRun], column: TimeColumn
-) -> CheckFinding | None:
+def _half_day_back(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | None:
     """Runs that stand after others in the file, and half a day or more before them."""
     for k in range(1, len(runs)):
         back = max(run.end for run in runs[:k]) - runs[k].start

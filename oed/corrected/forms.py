@@ -173,16 +173,14 @@ def updated_sizes(
         for members in groups:
             of_group = covariance[np.ix_(members, members)]
             prior = float(sizes[members[0]])
-            likelihood = _divide_prior(values[members], of_group, prior)
+            likelihood = _undo_prior(values[members], of_group, prior)
             table.append(_log_evidences(*likelihood))
         for members, size in zip(groups, _group_sizes(np.array(table)), strict=True):
             updated[members] = size
     return updated
 
 
-def _divide_prior(
-    values: Array, covariance: Array, prior: float
-) -> tuple[Array, Array]:
+def _undo_prior(values: Array, covariance: Array, prior: float) -> tuple[Array, Array]:
     """An estimate divided by its prior N(0, prior^2): information (k,), precision (k,).
 
     Both are along the principal axes of the covariance (k, k). Where the readings hardly

@@ -218,7 +218,7 @@ class _Restarts:
         """The best of given and drawn plans, then of changes of the best, improved."""
         weights = weights + 1e-4 * weights.sum() / len(weights)
         if rounds and self.exchange.exchanges_pairs:
-            return self._search_pairs(weights, rounds, starts)
+            return self._tabu_plan(weights, rounds, starts)
         best = np.zeros(0, dtype=np.intp)
         best_value = -np.inf
         drawn = max(1, min(5, rounds // 4))
@@ -235,9 +235,7 @@ class _Restarts:
                 best, best_value = chosen, value
         return best
 
-    def _search_pairs(
-        self, weights: Array, rounds: int, starts: Sequence[Index]
-    ) -> Index:
+    def _tabu_plan(self, weights: Array, rounds: int, starts: Sequence[Index]) -> Index:
         """The best plan of a tabu search from given and drawn plans."""
         evaluator = self.exchange.evaluator
         places = len(starts[0])

@@ -64,14 +64,12 @@ class Course:
         )
         rng = np.random.default_rng(self.seed)
         arrived = tuple(
-            self._arriving(state, series, rng)
+            self._arrive(state, series, rng)
             for state, series in zip(states, problem.series, strict=True)
         )
         return dataclasses.replace(problem, covariates=self.covariates, states=arrived)
 
-    def _arriving(
-        self, state: State, series: Series, rng: np.random.Generator
-    ) -> State:
+    def _arrive(self, state: State, series: Series, rng: np.random.Generator) -> State:
         """The state with joints that arrive at what is read from a random side."""
         sign, travel = state.motion_sign.copy(), state.travel_since_reversal.copy()
         read = series.index[:, 0]

@@ -50,7 +50,7 @@ def noise_numbers(
             name, stated, scales[:, g], scatter[:, g], laws, posterior
         )
         if setup.instrument.renewed and setup.statement.seating != 0.0:
-            seat, expected = _seating(setup, stated.sigma, scales[:, g], laws)
+            seat, expected = _seats(setup, stated.sigma, scales[:, g], laws)
             far = seat - expected > SHARED_SIZE * stated.sigma
             seated[setup.name] = _record(
                 weights, "seat", setup.name, stated.unit, seat, expected, far
@@ -167,9 +167,7 @@ def _run_errors(
     return scale * laws.level, scale * stated.shared
 
 
-def _seating(
-    setup: Setup, sigma: float, scale: Array, laws: Laws
-) -> tuple[Array, float]:
+def _seats(setup: Setup, sigma: float, scale: Array, laws: Laws) -> tuple[Array, float]:
     """Errors (L,) of what a run seats anew, SI, and what is stated of them."""
     seating = setup.statement.seating
     if seating is None:

@@ -356,7 +356,7 @@ class ErrorField:
             rng,
         )
         interpolation = grid.errors.max(axis=0) ** 2
-        drawn = _rms_draws(covariance, shape, rng)
+        drawn = _rms(covariance, shape, rng)
         low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
         return Forecast(
             field=self,
@@ -554,9 +554,7 @@ class Forecast:
         return widened, residual, np.sqrt(variance)
 
 
-def _rms_draws(
-    covariance: Array, shape: tuple[int, int], rng: np.random.Generator
-) -> Array:
+def _rms(covariance: Array, shape: tuple[int, int], rng: np.random.Generator) -> Array:
     """Rms (N_DRAWS, k) over the workspace of draws of what the field leaves."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -205,7 +205,7 @@ class Clearance:
 
     def pose_clearance(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,), m, at x (n, nx), q (n, nq), with the bar or without."""
-        ends, radii = self._moving_segments(x, q, bar)
+        ends, radii = self._segments(x, q, bar)
         by_segment = np.full(ends.shape[:2], np.inf)
         for obstacle in self._surroundings.obstacles:
             start, end = np.array(obstacle.start), np.array(obstacle.end)
@@ -223,9 +223,7 @@ class Clearance:
         others = without_bar[series.index].min(axis=1)
         return np.asarray(np.minimum(with_bar, others))
 
-    def _moving_segments(
-        self, x: Array, q: Array, bar: bool = True
-    ) -> tuple[Array, Array]:
+    def _segments(self, x: Array, q: Array, bar: bool = True) -> tuple[Array, Array]:
         """Moving segments (n, k, 2, 3) and their radii (k,)."""
         parts, radii = [np.empty((len(x), 0, 2, 3))], [np.empty(0)]
         nominal = self._measurement.machine.nominal

@@ -88,9 +88,7 @@ def _guess(c: Values, p: Values, up: float) -> Start:
     return pose, [legs.leg_length(x, p, i) for i in LEGS]
 
 
-def _passive_joints(
-    x: Values, p: Values, angle: float, up: float
-) -> list[PassiveJoint]:
+def _passive(x: Values, p: Values, angle: float, up: float) -> list[PassiveJoint]:
     """Length of the passive leg, its turn about the first axis, its lean along it."""
     _, origin = six_dof.platform(x)
     first, _ = _axes(p, angle)
@@ -160,7 +158,7 @@ def build(geometry: Geometry) -> Machine:
             [pivot(p), six_dof.platform(x)[1]],
         ],
         struts=limbs.struts,
-        passive=lambda x, q, p: _passive_joints(x, p, angle, up),
+        passive=lambda x, q, p: _passive(x, p, angle, up),
         family=family,
     )
 
