@@ -56,9 +56,7 @@ class PlanEvaluator(Protocol):
         """The plan after as many exchanges of pairs as so many sweeps have."""
         return chosen
 
-    def search_pairs(
-        self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index:
+    def tabu_search(self, starts: Index, steps: int, rng: np.random.Generator) -> Index:
         """The best plan from starts (plans, size) by a search, or the first."""
         return np.asarray(starts[0])
 
@@ -119,9 +117,7 @@ class CriterionEvaluator:
         base = self._base_with_ridge(chosen)
         return tabu.exchange_pairs(self.blocks, chosen, base, criterion, exchanges)
 
-    def search_pairs(
-        self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index:
+    def tabu_search(self, starts: Index, steps: int, rng: np.random.Generator) -> Index:
         """Tabu search."""
         base = self._base_with_ridge(starts[0])
         return tabu.search_plans(self.blocks, starts, base, self.criterion, steps, rng)

@@ -110,9 +110,7 @@ class Objective(Protocol):
         """A line above the objective; it touches it, or nearly so where smoothed."""
         ...
 
-    def gradient_and_curvature(
-        self, active: Index, weights: Array
-    ) -> tuple[Array, Array]:
+    def derivatives(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Gradient (A,) and negative second derivatives (A, A)."""
         ...
 
@@ -189,9 +187,7 @@ class CriterionObjective:
         squares = np.einsum("ckn,ckn->c", self.blocks, self.blocks)
         return float(np.sqrt(squares.max()))
 
-    def gradient_and_curvature(
-        self, active: Index, weights: Array
-    ) -> tuple[Array, Array]:
+    def derivatives(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Gradient and curvature of log phi."""
         m = self.information_at(active, weights)
         blocks = self.blocks[active]

@@ -93,7 +93,7 @@ def _one_step(
     objective: Objective, active: Index, weights: Array, caps: Array
 ) -> Array | None:
     """Weights after one step that raises the value; None where no step does."""
-    gradient, curvature = objective.gradient_and_curvature(active, weights)
+    gradient, curvature = objective.derivatives(active, weights)
     value = objective.value(active, weights)
 
     def is_better(trial: Array) -> bool:

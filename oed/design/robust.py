@@ -262,12 +262,10 @@ class RiskObjective:
         risk = float(aggregate(values, self.risk, self.tail_share))
         return Tangent(risk, gradient, base_term, offset)
 
-    def gradient_and_curvature(
-        self, active: Index, weights: Array
-    ) -> tuple[Array, Array]:
+    def derivatives(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Gradient, and curvatures with the response of the shares."""
         shares = self._shares(self._values(active, weights))
-        parts = [s.gradient_and_curvature(active, weights) for s in self.scenarios]
+        parts = [s.derivatives(active, weights) for s in self.scenarios]
         gradient = np.array([part_gradient for part_gradient, _ in parts])
         curvatures = np.array([part_curvature for _, part_curvature in parts])
         curvature = np.tensordot(shares, curvatures, axes=1)

@@ -242,7 +242,7 @@ class _Restarts:
         steps = rounds * min(STEPS_PER_PLACE * places, MAX_STEPS_PER_ROUND)
         plans = min(tabu.MAX_PLANS, steps // (STEPS_OF_DESCENT * places))
         drawn = [self._draw(weights) for _ in range(len(starts), plans)]
-        best = evaluator.search_pairs(np.array([*starts, *drawn]), steps, self.rng)
+        best = evaluator.tabu_search(np.array([*starts, *drawn]), steps, self.rng)
         return self.exchange.sweep_until_stable(best, evaluator.levels - 1)
 
     def _draw(self, weights: Array) -> Index:

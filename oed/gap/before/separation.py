@@ -178,9 +178,7 @@ class Separation(Objective):
         offset = height - float(weights @ slopes[active])
         return Tangent(float(self.worth(m)), slopes, 0.0, offset, linear=True)
 
-    def gradient_and_curvature(
-        self, active: Index, weights: Array
-    ) -> tuple[Array, Array]:
+    def derivatives(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
         m = self.at(active, weights)
         grams = self.grams[active]

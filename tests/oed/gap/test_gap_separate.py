@@ -88,14 +88,14 @@ def test_gradient_and_curvature_are_those_of_differences_and_the_line_lies_above
     active = np.arange(objective.count)
     w = rng.uniform(0.2, 1.0, objective.count)
     smooth = dataclasses.replace(objective, sharp=3.0)
-    slopes, curvature = smooth.gradient_and_curvature(active, w)
+    slopes, curvature = smooth.derivatives(active, w)
     for k in (0, 7, 15):
         step = 1e-5 * np.eye(objective.count)[k]
         up, down = smooth.value(active, w + step), smooth.value(active, w - step)
         assert slopes[k] == pytest.approx((up - down) / 2e-5, rel=1e-5)
         bent = (
-            smooth.gradient_and_curvature(active, w + step)[0]
-            - smooth.gradient_and_curvature(active, w - step)[0]
+            smooth.derivatives(active, w + step)[0]
+            - smooth.derivatives(active, w - step)[0]
         ) / 2e-5
         np.testing.assert_allclose(
             -bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max()
