@@ -296,21 +296,14 @@ def half_covariance(slopes: Array) -> Array:
 # Goodness of fit against the stated noise, with a probability in both tails.
 @dataclasses.dataclass(frozen=True)
 class Goodness:
-    """How residuals compare with the stated noise.
+    """How residuals compare with the stated noise."""
 
-    chi2    sum of squared whitened residuals
-    dof     its expectation: values less effectively determined directions
-    p_low   probability of a smaller sum
-    p_high  probability of a larger sum
-    law_p_low, law_p_high  the same of the sum under the law that is estimated, with a
-            scatter within what a statement is good for (`oed.checks.judgement`); None
-            where no law is
-    """
-
-    chi2: float
-    dof: float
-    p_low: float
-    p_high: float
+    chi2: float  #: sum of squared whitened residuals
+    dof: float  #: its expectation: values less effectively determined directions
+    p_low: float  #: probability of a smaller sum
+    p_high: float  #: probability of a larger sum
+    #: the same of the sum under the law that is estimated, with a scatter within what a
+    #: statement is good for (`oed.checks.judgement`); None where no law is
     law_p_low: float | None = None
     law_p_high: float | None = None
 

@@ -308,21 +308,15 @@ def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[
 
 @dataclasses.dataclass(frozen=True)
 class SetSolutions:
-    """Best shifts of the values of sets of equally many readings and values.
+    """Best shifts of the values of sets of equally many readings and values."""
 
-    sets             (S, m) numbers of readings
-    values           (S, k) places of their values
-    shift, sd        (S, k) best shifts and their standard deviations, SI
-    gain             (S,) by which they lower the penalised sum of squares
-    log_determinant  (S,) of the precision of the values
-    """
-
-    sets: Index
-    values: Index
+    sets: Index  #: (S, m) numbers of readings
+    values: Index  #: (S, k) places of their values
+    #: (S, k) best shifts and their standard deviations, SI
     shift: Array
     sd: Array
-    gain: Array
-    log_determinant: Array
+    gain: Array  #: (S,) by which they lower the penalised sum of squares
+    log_determinant: Array  #: (S,) of the precision of the values
 
 
 def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolutions]:

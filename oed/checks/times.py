@@ -65,19 +65,14 @@ def time_column(session: SessionReadings) -> TimeColumn:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TimedRun:
-    """Readings of a run with a time, by their order.
+    """Readings of a run with a time, by their order."""
 
-    setup, run  names
-    rows        (n,) in the files
-    times       (n,) s
-    joints      (n, nq) over their range in the session
-    """
-
+    #: names
     setup: str
     run: str
-    rows: Array
-    times: Array
-    joints: Array
+    rows: Array  #: (n,) in the files
+    times: Array  #: (n,) s
+    joints: Array  #: (n, nq) over their range in the session
 
     def __len__(self) -> int:
         return len(self.times)

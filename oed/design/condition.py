@@ -50,14 +50,12 @@ NEGLIGIBLE_WEIGHT = 1e-4  #: weights below this share of their cap count as none
 
 
 class DualPoint(NamedTuple):
-    """Products of Y and Z with the prior information and with each candidate.
+    """Products of Y and Z with the prior information and with each candidate."""
 
-    base_low, base_high  <Y, M0>, <Z, M0>
-    low, high            (C,) <Y, A_i>, <Z, A_i>
-    """
-
+    #: <Y, M0>, <Z, M0>
     base_low: float
     base_high: float
+    #: (C,) <Y, A_i>, <Z, A_i>
     low: Array
     high: Array
 

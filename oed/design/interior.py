@@ -33,22 +33,20 @@ MAX_RIDGE = 1e-6  #: ridge beyond which a step would no longer solve the system
 
 
 class Move(NamedTuple):
-    """A step of all variables, and the shares of it that end at a border.
+    """A step of all variables, and the shares of it that end at a border."""
 
-    w, t, r, s1, s2  changes of the primal variables
-    y, z, a, b       changes of the dual variables
-    primal, dual     shares of the changes at which each kind leaves the feasible set
-    """
-
+    #: changes of the primal variables
     w: Array
     t: float
     r: float
     s1: Array
     s2: Array
+    #: changes of the dual variables
     y: Array
     z: Array
     a: Array
     b: Array
+    #: shares of the changes at which each kind leaves the feasible set
     primal: float
     dual: float
 

@@ -138,19 +138,15 @@ class _LinearReadings:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Settled:
-    """Draws of effects under a most probable law, and their evidence.
-
-    clean       (N,) residuals about nominal, with those far off replaced
-    z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
-    root        (r, r) of the covariance of z given the effects
-    """
+    """Draws of effects under a most probable law, and their evidence."""
 
     linear: _LinearReadings
-    clean: Array
+    clean: Array  #: (N,) residuals about nominal, with those far off replaced
     draws: EffectDraws
+    #: (m, r) of the coordinates, drawn given each draw of the effects, and means
     z: Array
     means: Array
-    root: Array
+    root: Array  #: (r, r) of the covariance of z given the effects
     mode: Array
     log_evidence: float
 

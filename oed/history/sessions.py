@@ -61,18 +61,15 @@ MIN_P_VALUE = 0.05
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CombinationChange:
-    """Change of a combination of parameters that both sessions determine.
+    """Change of a combination of parameters that both sessions determine."""
 
-    coefficients  by parameter, the pivot first with 1, then those that contribute most
-                  to sd; what contributes less than MIN_SHARE is left out
-    change, sd    second session less the first, and its standard deviation
-    p_value       of no change, two-sided, for this combination alone
-    """
-
+    #: by parameter, the pivot first with 1, then those that contribute most to sd; what
+    #: contributes less than MIN_SHARE is left out
     coefficients: dict[str, float]
+    #: second session less the first, and its standard deviation
     change: float
     sd: float
-    p_value: float
+    p_value: float  #: of no change, two-sided, for this combination alone
 
     def in_words(self, units: Mapping[str, str]) -> tuple[str, str]:
         """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
@@ -104,17 +101,13 @@ class CombinationChange:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Cause:
-    """One parameter, or two, as all that changed.
+    """One parameter, or two, as all that changed."""
 
-    changes, sds  by parameter, all others unchanged
-    chi2          of what they do not explain
-    p_value       of chi2, for the degrees of freedom that they leave
-    """
-
+    #: by parameter, all others unchanged
     changes: dict[str, float]
     sds: dict[str, float]
-    chi2: float
-    p_value: float
+    chi2: float  #: of what they do not explain
+    p_value: float  #: of chi2, for the degrees of freedom that they leave
 
     @property
     def explains_all(self) -> bool:
@@ -150,20 +143,16 @@ def _explanations(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SessionChange:
-    """The change between two sessions; in the units of the parameters.
+    """The change between two sessions; in the units of the parameters."""
 
-    chi2, dof, p_value  test of no change at all
-    combinations        that both sessions determine, the most changed first
-    causes              one parameter or two, the best explanation first
-    undetermined        number of directions that one session or both leave open
-    """
-
+    #: test of no change at all
     chi2: float
     dof: int
     p_value: float
+    #: that both sessions determine, the most changed first
     combinations: tuple[CombinationChange, ...]
-    causes: tuple[Cause, ...]
-    undetermined: int
+    causes: tuple[Cause, ...]  #: one parameter or two, the best explanation first
+    undetermined: int  #: number of directions that one session or both leave open
 
     def sentences(self, units: Mapping[str, str]) -> Iterator[str]:
         """The test, parameters that explain the change, and the combinations."""
@@ -201,15 +190,11 @@ class Session:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ChangeEstimate:
-    """A change over sessions, in tolerances, in its determined directions.
+    """A change over sessions, in tolerances, in its determined directions."""
 
-    root            (r, n) of its information
-    white           (r,) estimates, standard normal where the truth is 0
-    rest, rest_dof  chi2 of what the change leaves, and its degrees of freedom
-    """
-
-    root: Array
-    white: Array
+    root: Array  #: (r, n) of its information
+    white: Array  #: (r,) estimates, standard normal where the truth is 0
+    #: chi2 of what the change leaves, and its degrees of freedom
     rest: float
     rest_dof: int
 
@@ -364,42 +349,34 @@ def _cause(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class NextCalibration:
-    """When the error reaches its limit, in time after the last session.
+    """When the error reaches its limit, in time after the last session."""
 
-    time       median over the drifts that the sessions allow; inf where it never does
-    low, high  95 % interval
-    """
-
+    #: median over the drifts that the sessions allow; inf where it never does
     time: float
+    #: 95 % interval
     low: float
     high: float
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SessionDrift:
-    """Drift over the sessions, per unit of time, in the units of the parameters.
+    """Drift over the sessions, per unit of time, in the units of the parameters."""
 
-    chi2, dof, p_value  test of no drift at all
-    rest, rest_dof      chi2 of what a line leaves, and its degrees of freedom
-    widening            factor on all standard deviations where a line does not suit
-    combinations        that the sessions determine, the surest drift first
-    causes              one parameter or two as all that drifts, the best first
-    rate                (n,) drift of each parameter; 0 along undetermined directions
-    covariance          (n, n) of `rate`, widened
-    undetermined        number of directions whose drift stays unseen
-    """
-
+    #: test of no drift at all
     chi2: float
     dof: int
     p_value: float
+    #: chi2 of what a line leaves, and its degrees of freedom
     rest: float
     rest_dof: int
-    widening: float
+    widening: float  #: factor on all standard deviations where a line does not suit
+    #: that the sessions determine, the surest drift first
     combinations: tuple[CombinationChange, ...]
+    #: one parameter or two as all that drifts, the best first
     causes: tuple[Cause, ...]
-    rate: Array
-    covariance: Array
-    undetermined: int
+    rate: Array  #: (n,) drift of each parameter; 0 along undetermined directions
+    covariance: Array  #: (n, n) of `rate`, widened
+    undetermined: int  #: number of directions whose drift stays unseen
 
     @property
     def is_proven(self) -> bool:

@@ -22,33 +22,25 @@ def symbols(
 
 @dataclasses.dataclass(frozen=True)
 class MachineExpressions:
-    """Symbols of a machine and the expressions of its closure and tool frame.
+    """Symbols of a machine and the expressions of its closure and tool frame."""
 
-    x, q, p    pose, joints and parameters, vectors; with their entries by name
-    c          command, vector; with its entries by name
-    tool       (3,) tool point relative to the reference tool's
-    phi        closure, a vector
-    rotation   (3, 3) of the tool in the base frame
-    tip        (3,) tool point in the base frame
-    commanded  quantities that the controller holds at pose x with this tool
-    target     the same quantities at command c
-    start      pose and joints from which Newton's method starts at c with this tool
-    """
-
+    #: pose, joints and parameters, vectors; with their entries by name
     x: ca.SX
     q: ca.SX
     p: ca.SX
-    c: ca.SX
-    tool: ca.SX
+    c: ca.SX  #: command, vector; with its entries by name
+    tool: ca.SX  #: (3,) tool point relative to the reference tool's
     x_by_name: Values
     q_by_name: Values
     p_by_name: Values
     c_by_name: Values
-    phi: Expr
-    rotation: Expr
-    tip: Expr
+    phi: Expr  #: closure, a vector
+    rotation: Expr  #: (3, 3) of the tool in the base frame
+    tip: Expr  #: (3,) tool point in the base frame
+    #: quantities that the controller holds at pose x with this tool
     commanded: Sequence[Expr]
-    target: Sequence[Expr]
+    target: Sequence[Expr]  #: the same quantities at command c
+    #: pose and joints from which Newton's method starts at c with this tool
     start: tuple[ca.SX, ca.SX]
 
     @property

@@ -30,24 +30,18 @@ DESCRIBED_SIZE = 0.2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Laws:
-    """L noise laws, in units of the stated noise.
+    """L noise laws, in units of the stated noise."""
 
-    scale    (L, G) of each group of readings
-    correlated  (L,) share f of the variance of single readings that is correlated
-    reach    (L,) of that correlation along a run, in readings
-    level    (L,) standard deviation of a run's level
-    seat     (L,) standard deviation of a renewed unknown
-    stated_level, stated_seat  (L,) factors on those that are stated; ones by default
-    course   (L,) standard deviation of the session's course at its end; 0 by default
-    """
-
-    scale: Array
+    scale: Array  #: (L, G) of each group of readings
+    #: (L,) share f of the variance of single readings that is correlated
     correlated: Array
-    reach: Array
-    level: Array
-    seat: Array
+    reach: Array  #: (L,) of that correlation along a run, in readings
+    level: Array  #: (L,) standard deviation of a run's level
+    seat: Array  #: (L,) standard deviation of a renewed unknown
+    #: (L,) factors on those that are stated; ones by default
     stated_level: Array = dataclasses.field(default_factory=lambda: np.ones(0))
     stated_seat: Array = dataclasses.field(default_factory=lambda: np.ones(0))
+    #: (L,) standard deviation of the session's course at its end; 0 by default
     course: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:

@@ -170,15 +170,11 @@ KERNEL_VALUES = 500_000
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SplitStudent:
-    """Student t about a mode, with a width of its own on either side of each axis.
+    """Student t about a mode, with a width of its own on either side of each axis."""
 
-    mode           (d,)
-    root           (d, d) axes in columns
-    behind, ahead  (d,) widths on either side, over the axes' lengths
-    """
-
-    mode: Array
-    root: Array
+    mode: Array  #: (d,)
+    root: Array  #: (d, d) axes in columns
+    #: (d,) widths on either side, over the axes' lengths
     behind: Array
     ahead: Array
 

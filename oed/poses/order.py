@@ -472,21 +472,15 @@ def _improve(tour: Index, states: RunStates, tolerance: float) -> Index:
 
 
 class _ClosedPath(NamedTuple):
-    """A path from home and back, and what its moves cost.
+    """A path from home and back, and what its moves cost."""
 
-    closed           (n + 2,) states
-    moves            (n + 2, n + 2) cost from each place to each
-    into, out        the same into and out of flipped runs
-    forwards         (n + 2,) length up to each place
-    backwards        the same backwards, where every run is flipped
-    """
-
-    closed: Index
-    moves: Array
+    closed: Index  #: (n + 2,) states
+    moves: Array  #: (n + 2, n + 2) cost from each place to each
+    #: the same into and out of flipped runs
     into: Array
     out: Array
-    forwards: Array
-    backwards: Array
+    forwards: Array  #: (n + 2,) length up to each place
+    backwards: Array  #: the same backwards, where every run is flipped
 
     @classmethod
     def of(cls, tour: Index, states: RunStates) -> "_ClosedPath":

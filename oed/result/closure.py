@@ -18,16 +18,12 @@ class MachineShape:
 
 @dataclasses.dataclass(frozen=True)
 class ClosestClosure:
-    """A machine at the guess for a command, and where its equations are met best.
+    """A machine at the guess for a command, and where its equations are met best."""
 
-    guess, nearest  the machine there
-    joints          names of the joints in each equation
-    line_joints     names of the joints that move each line of the drawing
-    still_open      equations, from 0, that are not met at the nearest
-    """
-
+    #: the machine there
     guess: MachineShape
     nearest: MachineShape
-    joints: tuple[tuple[str, ...], ...]
+    joints: tuple[tuple[str, ...], ...]  #: names of the joints in each equation
+    #: names of the joints that move each line of the drawing
     line_joints: tuple[tuple[str, ...], ...]
-    still_open: tuple[int, ...]
+    still_open: tuple[int, ...]  #: equations, from 0, that are not met at the nearest

@@ -36,43 +36,34 @@ class EffectTable(Record, frozen=True):
 
 
 class CorrectedSection(Record, frozen=True):
-    """What a compensation takes: estimates that the effects do not bend.
+    """What a compensation takes: estimates that the effects do not bend."""
 
-    parameters       {name: estimate}, those of the set-ups included
-    effects          {`effect: coefficient`: estimate}
-    constants        {effect: {constant: value}}, SI, of the form that fits best
-    conditions       what the corrected machine's accuracy rests on, in sentences
-    origin           `diagnosis`, or `given` where effects were named
-    rms_after        {channel: rms residual, in its fine unit}
-    chi2, dof        against the stated noise
-    covariance       of `parameters`, in their units
-    prediction       with parameters and effects compensated; null without a workspace
-    parameters_only  {component: accuracy with the effects left uncompensated}
-    controller       parameters for a controller that corrects geometry alone, in the
-                     units of `parameters`; empty: the parameters themselves
-    sent             the compensation of least expected error, as in `gap.mixture.choices`
-    posterior        {name: marginal}, where the study samples
-    tables           joint corrections of the effects by state, which add up
-    not_tabled       {effect: why no table holds it}
-    warnings         sentences that a user must know
-    """
-
+    #: {name: estimate}, those of the set-ups included
     parameters: dict[str, ParameterEstimate]
-    effects: dict[str, EffectEstimate]
+    effects: dict[str, EffectEstimate]  #: {`effect: coefficient`: estimate}
+    #: {effect: {constant: value}}, SI, of the form that fits best
     constants: dict[str, dict[str, float]]
+    #: what the corrected machine's accuracy rests on, in sentences
     conditions: list[str]
-    origin: str
-    rms_after: dict[str, float]
+    origin: str  #: `diagnosis`, or `given` where effects were named
+    rms_after: dict[str, float]  #: {channel: rms residual, in its fine unit}
     units: dict[str, str]
     readings: int
+    #: against the stated noise
     chi2: float
     dof: float
-    covariance: list[list[float]]
+    covariance: list[list[float]]  #: of `parameters`, in their units
+    #: with parameters and effects compensated; null without a workspace
     prediction: PredictionSection | None = None
+    #: {component: accuracy with the effects left uncompensated}
     parameters_only: dict[str, SpreadRecord] = {}
+    #: parameters for a controller that corrects geometry alone, in the units of
+    #: `parameters`; empty: the parameters themselves
     controller: dict[str, float] = {}
+    #: the compensation of least expected error, as in `gap.mixture.choices`
     sent: str = ""
-    posterior: dict[str, Marginal] = {}
+    posterior: dict[str, Marginal] = {}  #: {name: marginal}, where the study samples
+    #: joint corrections of the effects by state, which add up
     tables: list[EffectTable] = []
-    not_tabled: dict[str, str] = {}
-    warnings: list[str] = []
+    not_tabled: dict[str, str] = {}  #: {effect: why no table holds it}
+    warnings: list[str] = []  #: sentences that a user must know

@@ -58,39 +58,33 @@ class LeftOutRun(Record, frozen=True):
 
 
 class GoodnessSection(Record, frozen=True):
-    """Goodness of fit against the stated noise, and what a check of the readings says.
+    """Goodness of fit against the stated noise, and what a check of the readings says."""
 
-    chi2, dof  of the parameters that are delivered, as in `estimate`, without `outliers`
-               and `doubtful`; p_low, p_high  probabilities of less and of more
-    law_p_low, law_p_high  of less and of more under the law that is estimated, with a
-               scatter of single readings within what a statement is good for
-    bad_fit    whether nothing fitted to the readings can be trusted
-    outliers   gross errors, which no fit includes
-    doubtful   readings that may be gross errors or noise; fits include them
-    unlocated  rows of the file one of which is wrong; fits include all
-    findings   sentences, the most harmful first
-    noise     the noise law as estimated, by the names of its numbers; empty where the
-              noise is as stated
-    noise_words  how it departs from the stated noise, as sentences
-    left_out  each run predicted from the others; their log score with its standard
-              deviation in `left_out_score` and `left_out_sd`
-    """
-
+    #: of the parameters that are delivered, as in `estimate`, without `outliers` and
+    #: `doubtful`; p_low, p_high  probabilities of less and of more
     chi2: Number
     dof: Number
     p_low: Number
     p_high: Number
-    bad_fit: bool = False
-    outliers: list[OutlierRecord] = []
+    bad_fit: bool = False  #: whether nothing fitted to the readings can be trusted
+    outliers: list[OutlierRecord] = []  #: gross errors, which no fit includes
+    #: readings that may be gross errors or noise; fits include them
     doubtful: list[OutlierRecord] = []
+    #: rows of the file one of which is wrong; fits include all
     unlocated: list[int] = []
     mistakes: list[MistakeRecord] = []
-    findings: list[str] = []
+    findings: list[str] = []  #: sentences, the most harmful first
+    #: the noise law as estimated, by the names of its numbers; empty where the noise is
+    #: as stated
     noise: dict[str, NoiseRecord] = {}
-    noise_words: list[str] = []
+    noise_words: list[str] = []  #: how it departs from the stated noise, as sentences
+    #: each run predicted from the others; their log score with its standard deviation
+    #: in `left_out_score` and `left_out_sd`
     left_out: list[LeftOutRun] = []
     left_out_score: Number = None
     left_out_sd: Number = None
+    #: of less and of more under the law that is estimated, with a scatter of single
+    #: readings within what a statement is good for
     law_p_low: Number = None
     law_p_high: Number = None
 
@@ -146,25 +140,20 @@ class CombinationEstimate(Record, frozen=True):
 
 
 class HeldParameter(Record, frozen=True):
-    """A parameter that the model holds exactly, and that the readings contradict.
+    """A parameter that the model holds exactly, and that the readings contradict."""
 
-    parameters    one, or several that are moved together
-    held, estimate, sd  where it is held, and freed, in `unit`; means of several
-    p_value       of the held value, times the number of such tests
-    changes       {parameter: change with this one freed}, of those that change most, in
-                  their `units`
-    tool_mm       rms shift of the tool by these changes, at the poses read
-    """
-
-    parameters: list[str]
+    parameters: list[str]  #: one, or several that are moved together
+    #: where it is held, and freed, in `unit`; means of several
     held: float
     estimate: float
     sd: float
     unit: str
-    p_value: float
+    p_value: float  #: of the held value, times the number of such tests
+    #: {parameter: change with this one freed}, of those that change most, in their
+    #: `units`
     changes: dict[str, float]
     units: dict[str, str]
-    tool_mm: float
+    tool_mm: float  #: rms shift of the tool by these changes, at the poses read
 
 
 class RunCurve(Record, frozen=True):
@@ -233,16 +222,13 @@ class Marginal(Record, frozen=True):
 
 
 class PredictiveCheckRecord(Record, frozen=True):
-    """A discrepancy of the residuals, in units of the stated noise.
-
-    low, high  95 % of the draws of the noise lie between
-    p_high     share of draws in which the noise has the larger one
-    """
+    """A discrepancy of the residuals, in units of the stated noise."""
 
     observed: float
+    #: 95 % of the draws of the noise lie between
     low: float
     high: float
-    p_high: float
+    p_high: float  #: share of draws in which the noise has the larger one
 
     @property
     def alarming(self) -> bool:

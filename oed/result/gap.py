@@ -35,16 +35,14 @@ class MixedAnswer(Record, frozen=True):
 
 
 class MixedParameter(Record, frozen=True):
-    """A parameter over all hypotheses, in `unit`.
-
-    within     standard deviation that the answers have on average; the rest of `sd` is
-               between them
-    low, high  ends of the 95 % interval, quantiles of the mixture
-    """
+    """A parameter over all hypotheses, in `unit`."""
 
     value: float
     sd: float
+    #: standard deviation that the answers have on average; the rest of `sd` is between
+    #: them
     within: Size
+    #: ends of the 95 % interval, quantiles of the mixture
     low: float
     high: float
     unit: str
@@ -110,30 +108,26 @@ class RivalRecord(Record, frozen=True):
 
 
 class DetectabilityRecord(Record, frozen=True):
-    """What could be found of one effect.
-
-    detectability  at its expected size, over the values of its constants from `low` to
-                   `high`; `power`: chance of finding it at 1 % false alarm
-    signature      rms of its readings at that size; `absorbed`: share of it that
-                   calibration absorbs
-    least, median  smallest rms that is found with 90 % power: in the form seen best,
-                   and typically
-    sizes          least size of each coefficient by itself
-    """
+    """What could be found of one effect."""
 
     name: str
     about: str
     columns: int
+    #: at its expected size, over the values of its constants from `low` to `high`;
+    #: `power`: chance of finding it at 1 % false alarm
     detectability: float
     low: float
     high: float
     power: float
     visible: bool
+    #: rms of its readings at that size; `absorbed`: share of it that calibration
+    #: absorbs
     signature: dict[str, float]
     absorbed: float
+    #: smallest rms that is found with 90 % power: in the form seen best, and typically
     least: dict[str, float | None]
     median: dict[str, float | None]
-    sizes: dict[str, float | None]
+    sizes: dict[str, float | None]  #: least size of each coefficient by itself
     rivals: list[RivalRecord]
     not_testable: str | None
 
@@ -367,33 +361,7 @@ class SecondVisitRecord(Record, frozen=True):
 
 
 class GapSection(Record, frozen=True):
-    """The diagnosis of one set of readings.
-
-    verdict   none, effect, class (one of several that cannot be distinguished), mixture
-              (several, or one and an unknown remainder), unknown, scatter (beyond the
-              instrument, and no effect explains it)
-    scatter   of readings over the stated one, or over that between readings taken again
-              (`scatter_against`), with that verdict
-    scatter_shape  white, along the run, `run ID` or `leg K`
-    set95     the fewest sets of named effects that hold 95 % of the probability
-              together, whatever is beside them
-    constants  of each selected effect, SI
-    selected  effects of the best answer, `unknown` aside
-    rms_before, rms_after  rms residual of all readings by channel, without and with
-              the selected effects, as a fit by the stated noise leaves it
-    spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of
-              the stated noise)
-    unknown   what a remainder of unknown form is like, in words, with probabilities,
-              the likeliest first
-    nearest   effects that explain at least half of it, the nearest first: causes of its
-              kind, none of which has its form
-    left_out  effects that fit, but at sizes that are not believed: not named
-    effective_laws  number of equally good noise laws that the first answer rests on
-    words     one finding a sentence, the most important first
-    next      what to do about it
-    second_visit  readings that separate the answers; null where the first is sure
-    mixture   parameters and accuracy over all hypotheses; null where no answer can be used
-    """
+    """The diagnosis of one set of readings."""
 
     #: probability from which an answer, or an effect, is sure
     SURE_PROBABILITY: ClassVar[float] = 0.8
@@ -416,17 +384,22 @@ class GapSection(Record, frozen=True):
     #: probability of no gap that shows from which none is reported: cost over cost + 1
     NO_GAP_PROBABILITY: ClassVar[float] = 2.5 / 3.5
 
+    #: none, effect, class (one of several that cannot be distinguished), mixture
+    #: (several, or one and an unknown remainder), unknown, scatter (beyond the
+    #: instrument, and no effect explains it)
     verdict: Annotated[
         str, msgspec.Meta(pattern="^(none|effect|class|mixture|unknown|scatter)$")
     ]
     answers: list[AnswerRecord]
+    #: the fewest sets of named effects that hold 95 % of the probability together,
+    #: whatever is beside them
     set95: list[AnswerRecord]
     where: list[PlaceRecord]
     closure: list[ClosureRecord]
     not_testable: list[str]
     confusable: list[list[str]]
 
-    selected: list[str] = []
+    selected: list[str] = []  #: effects of the best answer, `unknown` aside
     tried: list[str] = []
     marginal: dict[str, float] = {}
     about: dict[str, EffectNote] = {}
@@ -434,22 +407,36 @@ class GapSection(Record, frozen=True):
     sizes: list[SizeRecord] = []
     noise: list[str] = []
     units: dict[str, str] = {}  # of each channel
+    #: rms residual of all readings by channel, without and with the selected effects,
+    #: as a fit by the stated noise leaves it
     rms_before: dict[str, float] = {}
     rms_after: dict[str, float] = {}
     traces: list[Trace] = []
+    #: rms residual by place of the tool, in `spots_unit` ("sigma": in units of the
+    #: stated noise)
     spots: list[Spot] = []
     spots_unit: str = "um"
-    words: list[str] = []
-    next: list[str] = []
-    constants: dict[str, dict[str, float]] = {}
+    words: list[str] = []  #: one finding a sentence, the most important first
+    next: list[str] = []  #: what to do about it
+    constants: dict[str, dict[str, float]] = {}  #: of each selected effect, SI
+    #: what a remainder of unknown form is like, in words, with probabilities, the
+    #: likeliest first
     unknown: dict[str, float] = {}
+    #: effects that explain at least half of it, the nearest first: causes of its kind,
+    #: none of which has its form
     nearest: list[str] = []
+    #: effects that fit, but at sizes that are not believed: not named
     left_out: list[str] = []
+    #: of readings over the stated one, or over that between readings taken again
+    #: (`scatter_against`), with that verdict
     scatter: float | None = None
     scatter_against: str = ""
-    scatter_shape: str = ""
+    scatter_shape: str = ""  #: white, along the run, `run ID` or `leg K`
+    #: number of equally good noise laws that the first answer rests on
     effective_laws: float | None = None
+    #: readings that separate the answers; null where the first is sure
     second_visit: SecondVisitRecord | None = None
+    #: parameters and accuracy over all hypotheses; null where no answer can be used
     mixture: MixtureSection | None = None
 
     @property

@@ -59,24 +59,19 @@ class DrawingLabel(Record, frozen=True):
 
 
 class Drawing(Record, frozen=True):
-    """The machine at its home pose and the planned tool points, m, base frame.
-
-    bars             of each tool point, empty without a far end; none where no reading
-                     has one
-    runs, commands   of each tool point; commands in user units, empty where only joints
-                     are known
-    labels           where the machine's parameters act
-    """
+    """The machine at its home pose and the planned tool points, m, base frame."""
 
     lines: list[Polyline]
     tool_points: list[Point]
     reading_of: list[str]  # set-up of each tool point
+    #: of each tool point, empty without a far end; none where no reading has one
     bars: list[
         Annotated[list[Point], msgspec.Meta(max_length=2)]
     ]  # reading's far end to tool point, where there is one
+    #: of each tool point; commands in user units, empty where only joints are known
     runs: list[str] = []
     commands: list[dict[str, float]] = []
-    labels: list[DrawingLabel] = []
+    labels: list[DrawingLabel] = []  #: where the machine's parameters act
 
 
 class MachineInfo(Record, frozen=True):

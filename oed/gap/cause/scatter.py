@@ -51,14 +51,12 @@ CONDITIONS = ("direction", "feed", "payload")
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Energies:
-    """Whitened energy of residuals, and its degrees of freedom.
+    """Whitened energy of residuals, and its degrees of freedom."""
 
-    pure, pure_freedom  of what differs between readings taken again
-    rest, rest_freedom  of all else that the parameters do not explain
-    """
-
+    #: of what differs between readings taken again
     pure: float
     pure_freedom: int
+    #: of all else that the parameters do not explain
     rest: float
     rest_freedom: int
 

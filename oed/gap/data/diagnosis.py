@@ -47,23 +47,16 @@ class Size:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Explained:
-    """What the effects of an answer explain of the residual.
+    """What the effects of an answer explain of the residual."""
 
-    constants       {effect: its constants in the form that suits the readings best}
-    coefficients    of the selected effects
-    sizes           of the selected effects
-    explained       (N,) part of the residual that the selected effects explain, SI
-    unexplained     (N,) part that what else the answer has explains, SI
-    before, after   (N,) residuals of the calibration without and with the selected
-                    effects, SI, both fitted by the stated noise, as an identification
-                    leaves them
-    """
-
+    #: {effect: its constants in the form that suits the readings best}
     constants: Mapping[str, Mapping[str, float]]
-    coefficients: tuple[CoefficientRecord, ...]
-    sizes: tuple[Size, ...]
-    explained: Array
-    unexplained: Array
+    coefficients: tuple[CoefficientRecord, ...]  #: of the selected effects
+    sizes: tuple[Size, ...]  #: of the selected effects
+    explained: Array  #: (N,) part of the residual that the selected effects explain, SI
+    unexplained: Array  #: (N,) part that what else the answer has explains, SI
+    #: (N,) residuals of the calibration without and with the selected effects, SI, both
+    #: fitted by the stated noise, as an identification leaves them
     before: Array
     after: Array
 
