@@ -1,7 +1,5 @@
 """comparison.html and comparison.pdf from several results side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Numbers of a result that may be missing: None and NaN alike become NaN."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

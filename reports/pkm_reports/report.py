@@ -1,7 +1,5 @@
 """report.html and report.pdf from the result of a study."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from oed.result import StudyResult

@@ -1,7 +1,5 @@
 """Numbers, units, lists and sentences as text of a report."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """One case of a campaign: a setting and a seed in, a row of figures out."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

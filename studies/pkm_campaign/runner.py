@@ -1,7 +1,5 @@
 """Runs the cases of a campaign that have no row yet."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path

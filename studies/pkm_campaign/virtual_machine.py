@@ -1,7 +1,5 @@
 """A virtual machine of a study: read, identified, compensated and compared."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What the certificate of a result states: parameters, accuracy, conformity; in SI units."""
 
-from __future__ import annotations
-
 import functools
 import zlib
 from collections.abc import Callable, Iterator, Mapping

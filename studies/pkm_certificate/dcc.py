@@ -5,8 +5,6 @@ uncertainty; all of them together are a list with their covariance matrix and th
 ellipsoid that holds 95 % of their joint distribution.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """Reads `certificate.toml`: what no calibration knows of laboratory, machine and customer."""
 
-from __future__ import annotations
-
 import datetime
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The certificate as PDF: head, parameters with uncertainties, accuracy, conformity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

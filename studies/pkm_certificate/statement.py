@@ -1,7 +1,5 @@
 """What a calibration certificate states: written as XML and as PDF, not into result.json."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import msgspec

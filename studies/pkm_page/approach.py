@@ -3,8 +3,6 @@
 +1: the first coordinate of the command grows over the last stretch; -1: it falls.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from typing import Final

@@ -1,7 +1,5 @@
 """What speaks against a reading before it is taken: its range, its neighbours, all others."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final

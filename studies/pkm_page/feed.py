@@ -5,8 +5,6 @@ included, as in `(?P<length_mm>[-+0-9.]+)`. Without one, a followed file is a CS
 header names the columns.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools

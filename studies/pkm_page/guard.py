@@ -7,8 +7,6 @@ from the page's own origin, as JSON of limited size. Outside this computer a tok
 the command prints, becomes a cookie of the browser.
 """
 
-from __future__ import annotations
-
 import hmac
 import re
 from http.cookies import CookieError, SimpleCookie

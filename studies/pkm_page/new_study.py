@@ -1,7 +1,5 @@
 """A study from a form: the text that `oed new` drafts, with a machine's sizes and aims."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Rows of a readings file for one reading at a pose: labels, command, values, time."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import datetime

@@ -1,7 +1,5 @@
 """The web side of the page: addresses, answers, events; nothing else knows of the web."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import datetime

@@ -1,7 +1,5 @@
 """The results below a folder, each under a key that is no path."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The state of a session as the page shows it: texts, tables and the view to turn."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final

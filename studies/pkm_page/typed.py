@@ -1,7 +1,5 @@
 """A number as a person types it: read, and which slip of the hand explains a wrong one."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ everywhere. What the level of a mesh refers to is not the trigger height of the
 calibration, so each mesh has an offset of its own.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Numbers that the firmwares of delta printers share, in mm and degrees."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

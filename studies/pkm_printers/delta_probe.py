@@ -6,8 +6,6 @@ trigger height drops out: that command gives the joints, and the reading is 0. S
 bed are numbers of the machine, so z counts from the bed of a firmware that raises z by them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The study of a delta printer: its geometry in the file's numbers, its set-ups."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -6,8 +6,6 @@ becomes the set-ups `S04_probe` (one run) and `S04_calliper` (one run of two row
 each distance, of which the first is its reference).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 

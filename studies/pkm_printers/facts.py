@@ -3,8 +3,6 @@
 `probe_radius_mm = 80` stands alone in its line; several numbers are separated by commas.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 

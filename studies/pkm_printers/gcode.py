@@ -1,7 +1,5 @@
 """Commands and replies in a printer's log or configuration: M665 R100 L250."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -9,8 +9,6 @@ The firmware turns a motor by k0 (sqrt(R^2 + k2 l) - R) for a line that is l lon
 the origin, k2 = -U O Q. A force F makes it F (U d + Y) / (S U) longer, d from the anchor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final

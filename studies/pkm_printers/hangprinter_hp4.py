@@ -6,8 +6,6 @@ set-ups `known_camera` (where the mover was) and `known_lines` (the four lines a
 gap of 0), the other 35 `other_lines`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -5,8 +5,6 @@ noise gets the weights of Klipper's own fit: n distances weigh as much as n / 2 
 (`MEASURE_WEIGHT` in klippy/extras/delta_calibrate.py).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 Words after Klipper's configuration reference, with the options of older versions.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path

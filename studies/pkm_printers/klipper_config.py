@@ -7,8 +7,6 @@ klippy/configfile.py), and so refused here. A value that stands above the block 
 wins over the saved one (`_strip_duplicates`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

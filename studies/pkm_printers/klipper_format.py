@@ -1,7 +1,5 @@
 """Klipper: the sections of a delta in printer.cfg."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -6,8 +6,6 @@ gear: `rotation_distance` is a full turn, which the file does not state. (`Rotar
 klippy/kinematics/rotary_delta.py, `parse_step_distance` in klippy/stepper.py.)
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,7 +1,5 @@
 """One name for the formats of a firmware's machines: the identified one decides."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Marlin: M665 and M666 of a delta, by what the printer's version does with them."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

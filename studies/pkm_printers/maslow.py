@@ -6,8 +6,6 @@ needs, so the belts calibrate themselves. As in the firmware, the lower left anc
 the origin, the lower right one lies on the x axis, and the belts' lengths are right.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

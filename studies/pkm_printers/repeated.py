@@ -6,8 +6,6 @@ neither the flatness of a bed nor what a run shares, so the noise may still be e
 upward.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

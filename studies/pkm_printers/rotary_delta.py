@@ -7,8 +7,6 @@ a_i + y sin a_i - R outward, s = y cos a_i - x sin a_i across and h = z - H up,
     (d - u cos t)^2 + s^2 + (h - u sin t)^2 = l^2,   the knee outward.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import ClassVar

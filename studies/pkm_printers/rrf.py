@@ -11,8 +11,6 @@ the probe; a node that was not probed (outside the radius) is written as 0 witho
 decimals (`GridProbing` of the firmware).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import re

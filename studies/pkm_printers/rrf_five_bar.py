@@ -6,8 +6,6 @@ of both, 2 ahead on the left alone. The nozzle is where the struts meet. A CSV h
 commanded places x, y and those measured, read_x, read_y, mm, in a frame of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """RepRapFirmware: M665 and M666 of a delta."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ at the largest angle over the horizontal, the second number of M669 A, plus its 
 stores two decimals of M669, so its lines are for config.g.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

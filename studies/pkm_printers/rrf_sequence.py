@@ -4,8 +4,6 @@
 have the probe points. Answers in logs are those of the firmware after its configuration.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -7,8 +7,6 @@ of the probe. Heights are printed against the start of the probing, so that the 
 stays as the firmware has it. Letters of G32 are what it fits: G32 XYZRDE.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Final

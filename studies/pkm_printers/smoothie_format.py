@@ -1,7 +1,5 @@
 """Smoothieware: M665 and M666 of a delta, with radii, angles and rods by tower."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.base import Array

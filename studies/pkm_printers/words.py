@@ -5,8 +5,6 @@ delta_radius`). Each firmware has a table of the words that it documents; a word
 group in the table that the table lacks is refused, as it may be part of the geometry.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import re

@@ -1,7 +1,5 @@
 """Prints on any terminal: encodings without σ, closed pipes; exit codes."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -6,8 +6,6 @@ with as many names; without one, columns have the names 1, 2, 3. Facts above the
 readings, and a header that is repeated within the file is passed over.
 """
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import csv

@@ -1,7 +1,5 @@
 """Describes machine, set-ups, package versions and drawing, in display units."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import platform
 import re

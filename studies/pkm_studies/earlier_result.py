@@ -1,7 +1,5 @@
 """What the result of an earlier session knows of a machine: parameters, covariance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

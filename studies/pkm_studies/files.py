@@ -1,7 +1,5 @@
 """Writes files whole or not at all, and reads text files of limited size."""
 
-from __future__ import annotations
-
 import codecs
 import errno
 import hashlib

@@ -4,8 +4,6 @@ The packages beside this one add in the same way as those of others. So this pac
 names none of them, and each is imported when it is used.
 """
 
-from __future__ import annotations
-
 from importlib import metadata
 from importlib.metadata import EntryPoint
 

@@ -1,7 +1,5 @@
 """The folder of a result: result.json, whose its files are, and their reports."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping

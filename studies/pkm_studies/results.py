@@ -14,8 +14,6 @@ error_ratio          the size of an accuracy beside another's
 unmodelled_sentence  what errors beside the model's parameters add
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Finds the studies that come with the package, by name."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import tomllib

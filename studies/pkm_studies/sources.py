@@ -1,7 +1,5 @@
 """Loads the readings of a study: its files, or a published collection of data."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A page to take to the machine: set-ups, commands, joint values, and cells to fill in."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence

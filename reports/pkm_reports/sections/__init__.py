@@ -9,8 +9,6 @@ adjustment_blocks  what a fitter adjusts, for a page of its own
 draw_closure       a machine that does not assemble, and what keeps it open
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 

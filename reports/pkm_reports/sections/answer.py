@@ -3,8 +3,6 @@
 A question that a result does not answer has no part.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

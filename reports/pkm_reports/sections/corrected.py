@@ -1,7 +1,5 @@
 """Chapter: parameters and effects estimated together, and the accuracy that follows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

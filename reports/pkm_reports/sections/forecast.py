@@ -1,7 +1,5 @@
 """Chapter: forecast compensation, its nodes and what its table leaves."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from oed.result import ForecastSection, StudyResult

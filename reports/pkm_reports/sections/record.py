@@ -1,7 +1,5 @@
 """Chapters of the appendix: claims, key figures, and the record of what was computed."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from oed.result import StudyResult

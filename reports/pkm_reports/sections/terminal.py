@@ -1,7 +1,5 @@
 """What a terminal shows of a report: its first lines, and one accuracy a component."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Final

@@ -3,8 +3,6 @@
 `style` imports this with the first figure, so that sentences and tables need no Matplotlib.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from matplotlib.figure import Figure

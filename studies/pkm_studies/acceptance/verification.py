@@ -1,7 +1,5 @@
 """Acceptance test of a result's folder: its plan, and the judgement of its readings."""
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """How long work reports its progress."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 

@@ -1,7 +1,5 @@
 """Random numbers of a study: one stream for each purpose, all from the study's seed."""
 
-from __future__ import annotations
-
 import enum
 
 import numpy as np

@@ -9,8 +9,6 @@ name. A file runs once the user allowed it: see `user_code`. A controller's form
 found likewise; its attribute is `controller`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib

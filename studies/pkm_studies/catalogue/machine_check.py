@@ -1,7 +1,5 @@
 """Checks the functions of a user's own machine before anything is computed with them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

@@ -8,8 +8,6 @@ Each combination of values is a test. Tests of one combination share its result,
 a process and between the processes of pytest-xdist.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

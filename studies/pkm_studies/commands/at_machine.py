@@ -1,7 +1,5 @@
 """The subcommand `oed next`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The subcommand `oed check`: studies and readings before anything runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,8 +5,6 @@ interrupted. A subcommand is imported when it is called, and everything heavy in
 so that `oed --help` answers at once.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os

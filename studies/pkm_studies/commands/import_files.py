@@ -1,7 +1,5 @@
 """The subcommand `oed import`: files of another program in, a study with readings out."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Annotated, Literal

@@ -10,8 +10,6 @@ noise does. So the answer is
                  possible before any reading.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

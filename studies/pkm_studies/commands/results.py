@@ -1,7 +1,5 @@
 """Subcommands on stored results: report, compare, history, adjust, compensate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

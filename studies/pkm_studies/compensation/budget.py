@@ -7,8 +7,6 @@ square V_j over the workspace, and the predicted ones have mean 0: the mean squa
 up. Without additional axes the known errors of what no joint corrects join them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Writes an export, and states what rounding and the controller's model cost."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Takes identified parameters out of a result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Values of coordinates in a new study, in numbers that a user would write."""
 
-from __future__ import annotations
-
 import math
 import re
 

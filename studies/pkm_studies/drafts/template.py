@@ -1,7 +1,5 @@
 """The text of a commented study to start from, for a machine with an instrument."""
 
-from __future__ import annotations
-
 import math
 import re
 

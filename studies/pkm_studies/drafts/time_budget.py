@@ -1,7 +1,5 @@
 """As many readings as a time has: `two days`, `90 min` in a draft of a study."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Final

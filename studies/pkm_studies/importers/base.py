@@ -1,7 +1,5 @@
 """What an importer is: it turns files of another program into a study with readings."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -8,8 +8,6 @@ x_mm = "X set"
 read_x_mm = "X"
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ A name with braces stands for several columns: `"read_{x,y}_mm" = "X{1,2}"` is r
 of X1 and read_y_mm of X2. Factors and offsets may then be lists, one number a column.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Any CSV with commanded poses or joints and readings, by a column map."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import msgspec

@@ -1,7 +1,5 @@
 """Tables of a column map file: which column of a CSV is what."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pkm_studies.tables import (

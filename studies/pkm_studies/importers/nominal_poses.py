@@ -1,7 +1,5 @@
 """Poses of the nominal machine, and the orientations that were read compared with them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

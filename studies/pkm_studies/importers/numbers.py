@@ -4,8 +4,6 @@ The instrument follows from what was measured. The machine's numbers are taken f
 as a tape measure finds them, and the noise for an assumption that the readings replace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Orientations of a CSV: quaternions, rotation vectors and directions as angles."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 

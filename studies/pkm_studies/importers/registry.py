@@ -1,7 +1,5 @@
 """The importers by name: entry points `pkm_oed.importers`, those of this project first."""
 
-from __future__ import annotations
-
 import warnings
 from importlib.metadata import EntryPoint
 

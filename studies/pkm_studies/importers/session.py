@@ -1,7 +1,5 @@
 """Runs an importer, and writes the study with its readings into a folder."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -12,8 +12,6 @@ a unit are taken for millimetres, which their best fit to the machine confirms o
 Everything else needs a map.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

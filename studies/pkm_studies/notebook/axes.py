@@ -4,8 +4,6 @@ Without an axis, pyplot makes one, so that a notebook shows it. The user's own s
 stays: only colours are those of the reports.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -4,8 +4,6 @@ Each function takes a study or the view that an earlier one returned, and return
 a result that shows itself as a table and keeps the kernel's objects.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What [design] requests: interest, wanted accuracy, retained readings, free settings."""
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import importlib.util

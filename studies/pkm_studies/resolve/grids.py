@@ -4,8 +4,6 @@ The first coordinate of the machine's command varies slowest. An instrument that
 its reading, such as a ball bar, can lead one coordinate. Commands are (n, n_dof), SI.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The machine of a study: its family's geometry, nominal numbers, workspace and home."""
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import re

@@ -1,7 +1,5 @@
 """Commands that put the tool on given points of the base frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

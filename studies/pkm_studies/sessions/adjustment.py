@@ -1,7 +1,5 @@
 """What to adjust at the machine of a result: its lines, files and sentences."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

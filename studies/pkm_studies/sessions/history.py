@@ -1,7 +1,5 @@
 """Drift of a machine over the results of its sessions, and when to calibrate again."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import re

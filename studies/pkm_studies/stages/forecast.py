@@ -1,7 +1,5 @@
 """Forecast compensation: the nodes to read, their fit, its sentences and its files."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Lists of steps for a run into a folder; and, for notebooks and campaigns, the st
 several steps lead to.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

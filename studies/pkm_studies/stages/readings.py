@@ -1,7 +1,5 @@
 """The steps that take readings, recorded or virtual; what a check finds before a run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

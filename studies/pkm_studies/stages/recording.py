@@ -1,7 +1,5 @@
 """What else to record: what each covariate or choice is worth to the readings of a plan."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple

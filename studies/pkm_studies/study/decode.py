@@ -5,8 +5,6 @@ the nearest known name, and tables that collect keys of free name (`free_keys`),
 an instrument's settings.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """JSON schemas of the files that people and scripts write or read."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Callable, Iterator

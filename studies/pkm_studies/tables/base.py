@@ -1,7 +1,5 @@
 """The base of a study's tables, and the kinds of numbers in them."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 import msgspec

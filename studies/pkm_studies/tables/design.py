@@ -1,7 +1,5 @@
 """Tables of [design]: criterion, number of readings, polish, order, robustness."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

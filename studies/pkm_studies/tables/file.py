@@ -1,7 +1,5 @@
 """The whole study file: its tables, report options and claims."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

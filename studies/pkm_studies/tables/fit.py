@@ -1,7 +1,5 @@
 """Tables of readings, identification, posterior and prediction."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 import msgspec

@@ -1,7 +1,5 @@
 """Tables of [gap]: effects that a diagnosis tries, and those of a virtual machine."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

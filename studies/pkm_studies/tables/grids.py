@@ -1,7 +1,5 @@
 """Tables of grids: ranges and spaced values of coordinates, and a set-up's poses."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 import msgspec

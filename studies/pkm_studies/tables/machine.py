@@ -1,7 +1,5 @@
 """Tables of the machine, its set-ups, the noise and the prior tolerances."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

@@ -1,7 +1,5 @@
 """Tables of [plan]: measurements to choose from, and the time for them."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

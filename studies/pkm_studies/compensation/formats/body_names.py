@@ -1,7 +1,5 @@
 """What MJCF and URDF of a machine share: which machines, names, and draws as a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import xml.etree.ElementTree as ET

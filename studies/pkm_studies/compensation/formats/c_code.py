@@ -1,7 +1,5 @@
 """C: forward and inverse kinematics of the identified machine, and a LinuxCNC module."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from importlib import resources

@@ -1,7 +1,5 @@
 """CSV: a table of corrected commands and joints, its axes, and parameters."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence

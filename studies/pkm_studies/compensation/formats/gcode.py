@@ -1,7 +1,5 @@
 """G-code of the planned measuring poses, with dwell and comments (RS274/NGC)."""
 
-from __future__ import annotations
-
 from oed import units
 from oed.model import Machine
 from oed.text import shorten

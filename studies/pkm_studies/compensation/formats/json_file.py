@@ -1,7 +1,5 @@
 """JSON: everything, at full precision."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -2,8 +2,6 @@
 rotarydeltakins, and homes for the INI file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

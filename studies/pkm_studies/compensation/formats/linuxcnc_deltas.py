@@ -4,8 +4,6 @@ Both modules have limbs alike and 120 degrees apart. Their few numbers are fitte
 exact joints over the workspace, by least squares.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

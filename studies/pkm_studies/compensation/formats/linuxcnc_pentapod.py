@@ -1,7 +1,5 @@
 """LinuxCNC's pentapod: HAL of pentakins, and homes for the INI file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """MJCF: the identified machine for MuJoCo, loops closed by `equality/connect`."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 

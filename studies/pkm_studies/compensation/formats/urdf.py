@@ -1,7 +1,5 @@
 """URDF: the identified machine as a tree, and a table of the loops that close it."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

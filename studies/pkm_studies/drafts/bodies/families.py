@@ -1,7 +1,5 @@
 """The family and the geometry of a drawn machine, for a study."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

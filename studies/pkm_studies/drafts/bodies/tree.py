@@ -1,7 +1,5 @@
 """A mechanism as a tree of bodies with joints, and the loops that close it."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

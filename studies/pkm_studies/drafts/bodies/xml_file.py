@@ -1,7 +1,5 @@
 """Reads the XML of bodies: the root of a file, and the numbers of its attributes."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """The step that mixes the answers of a diagnosis."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Readings of a labelled run stay together. Runs whose order means something are k
 they are: those read against their first pose, in passes, or chosen as a whole.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

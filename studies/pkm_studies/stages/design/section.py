@@ -1,7 +1,5 @@
 """The step that chooses a design, and its section of the result."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

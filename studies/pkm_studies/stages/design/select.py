@@ -1,7 +1,5 @@
 """Selects the readings of a plan from the candidates, polishes and orders them."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence

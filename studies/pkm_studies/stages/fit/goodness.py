@@ -1,7 +1,5 @@
 """Checks recorded readings, and reports it: the section `goodness` of the result."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """States a diagnosis in sentences: cause, place, how far the gap shrinks, what next."""
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 import math

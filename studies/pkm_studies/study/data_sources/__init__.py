@@ -4,8 +4,6 @@ Each is an entry point `pkm_oed.sources`: a function from the collection's folde
 a readings file, as text by column.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -6,8 +6,6 @@ published revolutions per metre. Every second pose becomes the set-up `fit`, the
 `blind`. Angles are of R = Rx(alpha) Ry(beta) Rz(gamma).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path
