@@ -15,7 +15,6 @@ from oed.result import StudyResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 #: what a row of a table can be marked as
 MARKS: Final = ("", "good", "bad", "chosen")
 

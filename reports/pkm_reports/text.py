@@ -45,9 +45,6 @@ TOO_LONG: Final = 1e9
 MAX_DECIMALS: Final = 9
 
 
-# -- numbers ---------------------------------------------------------------------------
-
-
 def number(value: float | None, digits: int = 3) -> str:
     """A number with `digits` significant digits, or with a power of ten."""
     x = or_nan(value)
@@ -183,9 +180,6 @@ def times(ratio: float | None) -> str:
     return f"{number(x)}×" if math.isfinite(x) else MISSING
 
 
-# -- units -----------------------------------------------------------------------------
-
-
 def unit_symbol(unit: str) -> str:
     """The unit as a person writes it: um -> µm."""
     return meaning(unit, SYMBOLS)
@@ -244,9 +238,6 @@ def replace_symbols(phrase: str) -> str:
     """Text of a study with 5 um written as 5 µm, and no line break before a unit."""
     bound = BEFORE_UNIT.sub(NO_BREAK, phrase)
     return re.sub(rf"(?<=\d{NO_BREAK})um\b", "µm", bound)
-
-
-# -- words -----------------------------------------------------------------------------
 
 
 def meaning(word: str, meanings: Mapping[str, str]) -> str:

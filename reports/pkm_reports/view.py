@@ -229,9 +229,6 @@ class PageView:
         return PageView(lines, labels, readings, _fields(result), shown)
 
 
-# -- readings --------------------------------------------------------------------------
-
-
 def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
     count = len(drawing.tool_points)
     runs, commands = _runs_and_commands(result, drawing)
@@ -265,9 +262,6 @@ def _runs_and_commands(
     if len(poses) == count:
         return [pose.run for pose in poses], [pose.command for pose in poses]
     return [""] * count, [{}] * count
-
-
-# -- fields ----------------------------------------------------------------------------
 
 
 def _fields(result: StudyResult) -> list[ViewField]:
@@ -327,9 +321,6 @@ def _mm(points: Sequence[Sequence[float]]) -> list[Point]:
 
 def _round(point: Sequence[float] | Array) -> Point:
     return [round(float(v), PLACE_DECIMALS) for v in point]
-
-
-# -- residuals -------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

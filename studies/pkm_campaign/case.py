@@ -60,7 +60,6 @@ def evaluate(case: Case) -> dict[str, Any]:
 
 # The 95 % interval of a mean over independent cases.
 
-
 #: standard deviations to either side of a 95 % interval
 HALF_WIDTH = float(special.ndtri(0.975))
 
@@ -79,7 +78,6 @@ def mean_interval(values: Sequence[float] | Array) -> tuple[float, float]:
 #
 # A function is named by `path/to/file.py:function`, relative to the campaign, as machines
 # are. Every process looks its function up by itself.
-
 
 #: characters of a failure that are shown
 MAX_REASON_LENGTH = 150

@@ -148,7 +148,6 @@ def _end_with_parent() -> None:
 
 
 def _run_on_worker(work: Callable[[Item], Outcome], item: Item) -> Outcome:
-    """What `work` returns for an item, on a worker of Dask."""
     keep_freed_memory()
     return work(item)
 
@@ -156,7 +155,6 @@ def _run_on_worker(work: Callable[[Item], Outcome], item: Item) -> Outcome:
 def _run_on_cluster(
     work: Callable[[Item], Outcome], items: Sequence[Item], scheduler: str
 ) -> Iterator[tuple[Item, Outcome]]:
-    """From the workers of a Dask scheduler."""
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
@@ -215,7 +213,6 @@ def _run_on_workers(
         yield item, future.result()
 
 
-# -- memory ----------------------------------------------------------------------------
 #
 # A Dask worker starts with MALLOC_TRIM_THRESHOLD_, so that memory goes back to the system
 # after each larger array and comes back page by page: cases then take a sixth more time.

@@ -217,7 +217,6 @@ def _table(campaign: Campaign, rows: Rows, names: list[str]) -> Table:
 
 
 def _figure(value: Any) -> str:
-    """A number, or a text as it is."""
     return value if isinstance(value, str) else text.number(float(value))
 
 

@@ -132,7 +132,6 @@ def _accuracy_figures(
 
 
 def _diagnosis_figures(state: Fitted, effects: list[dict[str, Any]]) -> dict[str, Any]:
-    """The verdict, and the effects that act."""
     section = written(diagnose_always(state).result.gap, "gap")
     answer = section.answers[0]
     return {

@@ -96,7 +96,6 @@ def certificate(
 
 
 def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:
-    """The estimate, of a machine that exists."""
     section = result.final_estimate
     if section is None or not section.covariance:
         raise InputError(
@@ -143,9 +142,6 @@ def conditions(result: StudyResult) -> list[str]:
             )
     final = result.final_estimate
     return sentences if final is None else [*sentences, *final.warnings]
-
-
-# -- accuracy --------------------------------------------------------------------------
 
 
 def _predicted(
@@ -197,7 +193,6 @@ def _verified(result: StudyResult) -> Iterator[CertifiedAccuracy]:
         )
 
 
-# -- conformity ------------------------------------------------------------------------
 #
 # Probability that a true value lies within its tolerance, from what is known of it.
 #
@@ -363,7 +358,6 @@ def tolerance_place(path: Path) -> Location:
 
 
 # Writes the certificate of a result's folder: Digital Calibration Certificate and PDF.
-
 
 XML = "certificate.xml"
 

@@ -71,12 +71,8 @@ def _add(parent: Element, name: str, text: str = "", space: str = DCC) -> Elemen
 
 
 def _words(parent: Element, name: str, text: str) -> None:
-    """A text in English."""
     content = _add(_add(parent, name), "content", text)
     content.set("lang", "en")
-
-
-# -- administrative data ---------------------------------------------------------------
 
 
 def _administrative(parent: Element, c: Certificate) -> None:
@@ -146,9 +142,6 @@ def _contact(parent: Element, contact: Institution) -> None:
         _add(location, "street", contact.street)
 
 
-# -- results ---------------------------------------------------------------------------
-
-
 def _results(parent: Element, c: Certificate) -> None:
     calibration = _add(parent, "measurementResult")
     _words(calibration, "name", "Calibration")
@@ -198,7 +191,6 @@ def _equipment(parent: Element, c: Certificate) -> None:
 
 
 def _conditions(parent: Element, c: Certificate) -> None:
-    """What is stated of the surroundings."""
     temperature = c.head.temperature
     if temperature is None:
         return
@@ -209,7 +201,6 @@ def _conditions(parent: Element, c: Certificate) -> None:
 
 
 def _result(parent: Element, name: str, about: str) -> Element:
-    """The data of a new result."""
     result = _add(parent, "result")
     _words(result, "name", name)
     if about:

@@ -167,7 +167,6 @@ def _check(file: HeadFile, location: Location) -> None:
 def _tables(
     file: HeadFile, location: Location
 ) -> Iterator[tuple[Location, msgspec.Struct]]:
-    """All tables with their places."""
     yield location, file
     for key in ("item", "laboratory", "customer"):
         yield location.key(key), getattr(file, key)

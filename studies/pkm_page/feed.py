@@ -154,9 +154,6 @@ def _row_values(pair: str) -> dict[str, float]:
     return values
 
 
-# -- sources ---------------------------------------------------------------------------
-
-
 def _opener(source: str, is_table: bool) -> Callable[[], Iterator[str]]:
     """What opens a source, which may be lost and opened again. Raises InputError."""
     if source.startswith(TCP):

@@ -26,7 +26,6 @@ from pkm_studies.results import BadFitError
 if TYPE_CHECKING:
     from subprocess import Popen
 
-
 #: time between two looks at the readings file, s
 POLL_SECONDS: Final = 0.5
 #: commands that evaluate the readings, by the word on the button
@@ -255,7 +254,6 @@ def stored_report(folder: Path) -> str:
 
 # Work that takes longer than a reading: a command of `oed` in a process of its own.
 
-
 #: module of the command
 OED: Final = "pkm_studies.commands.cli"
 
@@ -337,6 +335,5 @@ def _collect(stream: IO[str] | None, lines: list[str]) -> None:
 
 
 def _lines_after_stages(lines: list[str]) -> list[str]:
-    """The lines below the last stage, which is the report."""
     last = lines.index(LAST_STAGE) if LAST_STAGE in lines else -1
     return lines[last + 1 :]

@@ -253,7 +253,6 @@ def _error(name: str, problem: str, remedy: str, value: str = "") -> FieldError:
 
 
 def _field_of(error: InputError, sizes: list[str]) -> str:
-    """The field of the form that an error in [machine] is about."""
     key = error.field.removeprefix("machine.geometry.").partition("[")[0]
     if key != error.field:
         return GEOMETRY + key

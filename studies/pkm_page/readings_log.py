@@ -94,7 +94,6 @@ class FileContent:
         return dataclasses.replace(extended, rows=rows)
 
     def _number(self, cell: str) -> str:
-        """A number with the decimal sign of the file."""
         commas = self.separator != "," and any(
             DECIMAL_COMMA.fullmatch(c.strip()) for r in self.rows[1:] for c in r
         )

@@ -250,7 +250,6 @@ def _next_order(content: FileContent, row: Mapping[str, str]) -> int:
 
 
 def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
-    """A run of the file that begins at a reference's pose."""
     pose = {
         ReadingsColumn.stem_of(name): float(cell) * ReadingsColumn.parse(name).factor
         for name, cell in reference.items()

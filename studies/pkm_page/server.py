@@ -431,7 +431,6 @@ async def _absent(_: Request, __: Exception) -> Response:
 
 # Opens a study or results on a local address, and serves the page until it is stopped.
 
-
 LOCAL: Final = "127.0.0.1"
 #: bytes of a token
 TOKEN_BYTES: Final = 24
@@ -497,7 +496,6 @@ def starter(options: PageOptions) -> Callable[[Path], MachinePage]:
 
 
 def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
-    """The study, its file, and the folder of its results."""
     if not target.is_dir():
         study = Study.load(shipped.study_path(target), consent)
         return study, target, Path("out") / study.name

@@ -261,7 +261,6 @@ class MachineSession:
         return SessionState(content, fitted, advice, pose)
 
     def _last_pose(self, fitted: FittedReadings) -> Pose:
-        """The pose of the reading that is last in the file."""
         data = fitted.state.resolved.dataset
         if data is None:
             raise LookupError("readings without a dataset")
@@ -273,7 +272,6 @@ class MachineSession:
         raise IndexError(index)
 
     def _fit(self, content: FileContent) -> FittedReadings | None:
-        """The fit of a content, as `oed next` makes it from a file of that content."""
         if content.version not in self._fits:
             self._fits[content.version] = self._fit_of_text(content)
             if len(self._fits) > REMEMBERED_FITS:

@@ -25,7 +25,6 @@ from pkm_studies.stages import estimate_section
 
 # What the readings so far say, as tables: accuracy, parameters, combinations, next ones.
 
-
 #: probability beyond each end of an interval
 TAIL_PROBABILITY: Final = 0.025
 #: next readings and combinations that are shown, and parameters of a combination
@@ -261,7 +260,6 @@ def remaining(advice: Advice) -> int | None:
 
 # The state of a session as the page shows it: texts, tables and the view to turn.
 
-
 #: last readings that are listed beside the entry
 MAX_LISTED_READINGS: Final = 4
 
@@ -417,7 +415,6 @@ def _last_setup(session: MachineSession, content: FileContent) -> str | None:
 
 
 def _last_readings(session: MachineSession, content: FileContent) -> list[LastReading]:
-    """The last readings of the file, the latest first."""
     measurement = session.measurement
     listed = []
     number = 0
@@ -456,9 +453,6 @@ def _time_left(state: SessionState) -> str:
         return ""
     minutes = count * per_reading / units.MINUTE
     return "Under a minute" if minutes < 1.0 else f"About {text.number(minutes, 2)} min"
-
-
-# -- the view --------------------------------------------------------------------------
 
 
 def view(session: MachineSession, state: SessionState) -> PageView | None:

@@ -20,7 +20,6 @@ from pkm_studies.importers import MeshUse, Row
 
 # A contact of a delta with its bed, as its firmware has it, and its row of readings.
 
-
 SETUP = "probe"
 #: decimals of a sum of heights, mm
 SUM_DECIMALS = 9

@@ -58,7 +58,6 @@ ASSUMED = (
 )
 NOISE = "standard deviation of one reading, the bed's flatness included"
 
-
 #: mm; no point of a bed is farther away
 MAX_BED_COORDINATE_MM = 1e4
 
@@ -192,7 +191,6 @@ def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
 # these with two slopes of the bed, n heights of equal noise without a lean give
 #
 #     F = (S6 - S8) / 2 / (S8 / (n - 8)),    distributed as F(2, n - 8).
-
 
 #: factors without the lean
 PLAIN = 6

@@ -358,7 +358,6 @@ def _motor_refusal(problem: str, file: str) -> InputError:
 # The firmware takes the place where all motors are 0 for its origin, so that anchors are
 # written as seen from there.
 
-
 COMMANDS = ("M669", "M666")
 NOT_WRITTEN = (
     "S, W, T, X, Y and other words of the flex compensation stay as they are: the study"

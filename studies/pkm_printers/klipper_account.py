@@ -292,7 +292,6 @@ def _costly(config: KlipperConfig) -> list[str]:
 
 
 def _included(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
-    """A sentence on files that the configuration includes and that were not given."""
     file_names = {path.name for path in files}
     places = {
         f"[{section}]": line

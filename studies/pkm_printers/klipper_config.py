@@ -190,7 +190,6 @@ def _dropped(lines: Sequence[str], number: int, file: str, how: str) -> InputErr
 
 
 def _parse(text: str, file: str, parsed: _Parsed) -> None:
-    """Add the options of a file."""
     section = ""
     last: tuple[Entries, tuple[str, str]] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
@@ -229,7 +228,6 @@ def _continue(entries: Entries, key: tuple[str, str], content: str) -> None:
 # probe's z_offset (`probe_finalize` in klippy/extras/bed_mesh.py). On a round bed a row
 # is filled up with its first and last probed height. Nodes in a faulty region were probed
 # beside it.
-
 
 PREFIX: Final = "bed_mesh "
 PROBES: Final = ("probe", "bltouch", "smart_effector")

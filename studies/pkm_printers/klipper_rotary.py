@@ -103,7 +103,6 @@ def _write(compensation: Compensation) -> Texts:
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:
-    """Turns of a printer with this file."""
     geometry = rotary_geometry(klipper_config.parse_options(texts[".cfg"]))
     return rotary_joints(geometry, compensation)
 

@@ -256,7 +256,6 @@ def _points_over_bed(
     return [point._replace(z=point.z + lower) for point in points]
 
 
-# -- words -----------------------------------------------------------------------------
 #
 # After Marlin's G-code pages and its M665, M666 and G33 by version.
 
@@ -299,9 +298,6 @@ def word_table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
         "G20": {"": refused("the numbers are in inches", "give them in mm")},
         **{name: {} for name in ("G28", "M500", "M501", "M503", "M115")},
     }
-
-
-# -- meshes ----------------------------------------------------------------------------
 
 
 def mesh_grids(
@@ -393,7 +389,6 @@ def _share_among(
 
 
 # Heights of a delta's endstops over the bed, of what a Marlin log has of home.
-
 
 TOWERS = "XYZ"
 #: fewest steps per mm that printers have, as of a motor with 8 microsteps

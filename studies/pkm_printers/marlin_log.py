@@ -31,7 +31,6 @@ from pkm_studies.base import InputError
 # plus what that has at the place itself, is the height there. The fit is that of the
 # radius, two angles and three endstops to all means.
 
-
 #: the six directions of G33's ring, in its order: degrees from x
 DIRECTIONS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}
 #: radius of the inner ring over that of the outer one
@@ -231,7 +230,6 @@ def _bed_points(places: Array, geometry: DeltaGeometry) -> Array:
 #
 # "G33 Auto Calibrate" is what the firmware prints when it begins; a line with the words of
 # G33 above it is how it was asked for. Without one, P is that of the configuration.
-
 
 HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER}){ENDS}")
 PRINTED_RADIUS = re.compile(r"\bat radius:\s*" + f"({NUMBER})")
@@ -541,7 +539,6 @@ class _Scan:
                 self.settings_of.append(self.settings(line, number))
 
     def _take_command(self, command: Command) -> None:
-        """Take the words of a command as the firmware does."""
         words = dict(command.words)
         stored = self.words.setdefault(command.name, {})
         if command.name == "M666":

@@ -169,7 +169,6 @@ def possible_rules(version: str | None) -> PossibleRules:
 def _versions_between(
     first: tuple[int, ...], last: tuple[int, ...]
 ) -> Iterator[MarlinRules]:
-    """The rules of the versions from `first` to `last`."""
     ends = [rule.since for rule in ALL_RULES[1:]]
     for rule, end in zip(ALL_RULES, [*ends, (99,)], strict=True):
         if rule.since <= last and end > first:

@@ -217,9 +217,6 @@ def _command_text(line: TextLine) -> TextLine:
     return line
 
 
-# -- heightmap.csv ---------------------------------------------------------------------
-
-
 def is_height_map(path: Path) -> bool:
     """Whether a file is a height map: by its first line, or its name.
 
@@ -309,7 +306,6 @@ def _mesh_error(path: Path, line: int, problem: str) -> InputError:
 
 
 # Points of RepRapFirmware's G30 with the heights of G32, where the nozzle was.
-
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)
@@ -413,7 +409,6 @@ def _one_geometry(
 
 
 def _changes(line: TextLine) -> bool:
-    """Whether a line of a log changes the geometry or the probe."""
     is_set = any(command.words for command in gcode.commands([line], *CHANGING))
     return is_set or CALIBRATED.search(line.text) is not None
 
@@ -502,7 +497,6 @@ class _Probes:
 
 
 def _places_text(points: Mapping[int, ProbePoint], is_given: bool) -> str:
-    """A sentence on the places of the nozzle."""
     source = "probe_offset_mm" if is_given else "G31"
     probed = [point.offset for point in points.values() if not point.is_typed]
     typed = [str(k) for k, point in points.items() if point.is_typed]

@@ -169,9 +169,6 @@ def _places(tables: Sequence[Path], linkage: _Linkage) -> tuple[Array, Array]:
     return cells[:, :2], cells[:, 2:]
 
 
-# -- out -------------------------------------------------------------------------------
-
-
 def _write(compensation: Compensation) -> Texts:
     """M669 with four decimals of mm and five of degrees."""
 

@@ -91,9 +91,6 @@ def _limb_numbers(command: Command, letter: str) -> Array:
     return np.array(command.values(letter, 1, 3)) * np.ones(3)
 
 
-# -- out -------------------------------------------------------------------------------
-
-
 def _write(compensation: Compensation) -> Texts:
     """M669 and M666, four decimals of mm and five of degrees."""
     geometry = identified_geometry(compensation)

@@ -225,7 +225,6 @@ def _indent(line: TextLine) -> int:
 #
 # After the G-code dictionary of RepRapFirmware 1 to 3 and its LinearDeltaKinematics.
 
-
 MORE_TOWERS: Final = refused(
     "this sets towers beyond the third", "remove it: only three towers hold the tool"
 )

@@ -175,7 +175,6 @@ def _has_numbers(cells: Sequence[str]) -> bool:
 
 
 def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:
-    """Columns in which more than half of the lines have a number."""
     return [
         column
         for column, cells in enumerate(zip(*lines, strict=True))

@@ -167,9 +167,6 @@ def written_before(folder: Path) -> list[str]:
         ) from error
 
 
-# -- reports -----------------------------------------------------------------------------
-
-
 def write_report(
     folder: Path, *, html: bool = True, pdf: bool = True, full: bool = False
 ) -> tuple[Path, ...]:

@@ -32,7 +32,6 @@ from pkm_studies.tables import ClaimTable, StudyFile
 
 # Checks the claims of a study on its result.
 
-
 #: numbers of result.json that are in the `unit` which stands beside them
 IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")
 #: most characters of a measured text
@@ -173,7 +172,6 @@ def _measured(value: object, wanted: str | None = None) -> float | str:
 
 
 def _texts(value: object) -> Iterator[str]:
-    """All texts in a value."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -205,7 +203,6 @@ def _is_met(table: ClaimTable, value: object) -> bool:
 
 
 # What an uncertainty budget says, in sentences: what to improve, what the model lacks.
-
 
 #: share of the error below which an improvement is not worth a sentence
 MIN_WORTHWHILE_IMPROVEMENT = 0.02
@@ -270,7 +267,6 @@ def error_ratio(changed: Values, whole: Values, components: Mapping[str, str]) -
 
 
 def _improvement(line: BudgetLine) -> str:
-    """An improvement in words."""
     if line.kind in IMPROVEMENTS:
         return IMPROVEMENTS[line.kind]
     if line.halved is None:
@@ -285,7 +281,6 @@ def error_quantities(values: Values, components: Mapping[str, str]) -> str:
 
 
 # Reads stored results, and refuses bad fits; loads nothing that computes or draws.
-
 
 #: bytes of the largest result that is read
 MAX_BYTES = 1 << 28

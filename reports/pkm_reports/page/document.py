@@ -328,7 +328,6 @@ def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
 
 # The report as one HTML file that loads nothing: no font, no second file.
 
-
 #: a command or key within a sentence
 CODE: Final = re.compile("`([^`\n]+)`")
 #: parts of the script, in order
@@ -370,7 +369,6 @@ def script_digest() -> str:
 
 
 # The report as a PDF of A4 pages, set by typst.
-
 
 POINTS_PER_INCH = 72.0
 

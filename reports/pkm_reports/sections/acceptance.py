@@ -218,7 +218,6 @@ def _positioning(verification: VerificationSection) -> Table:
 
 CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)
 
-
 # Residuals of held-out readings, with their predictive intervals.
 
 

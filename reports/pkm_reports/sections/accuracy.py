@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-
 # Which commands of a pose are the axes of a map, and which one makes its panels.
 
 POLAR: Final = ("psi_deg", "theta_deg")
@@ -266,7 +265,6 @@ def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
 def _line_over_command(
     prediction: PredictionSection, commands: Mapping[str, Array], names: Sequence[str]
 ) -> Figure:
-    """The error of a machine with one command, along that command."""
     ((command, values),) = commands.items()
     figure = style.figure(2.4)
     axes = figure.subplots()
@@ -682,9 +680,7 @@ def _error_at(point: MapPoint, name: str, unit: str) -> str:
 
 CHAPTER: Final = Chapter("accuracy", "Residual accuracy", blocks, printed)
 
-
 # Blocks on how far single machines differ, on other references and other tools.
-
 
 FIGURE_NAMES: Final = {
     "absolute": "absolute",
@@ -771,7 +767,6 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
 
 
 # Blocks on the uncertainty budget: its lines, what to improve, effects outside it.
-
 
 #: size of a share below which it is no more than that
 MIN_SHARE: Final = 1e-3

@@ -77,7 +77,6 @@ def lead_blocks(result: StudyResult) -> list[Block]:
 
 
 def _causes(gap: GapSection | None) -> list[str]:
-    """The verdict of a diagnosis."""
     return [] if gap is None else text.sentences(gap.words[:1])
 
 
@@ -165,7 +164,6 @@ def _agreement(result: StudyResult) -> list[str]:
 
 
 # After a diagnosis: ranked causes, what remains, and what to do.
-
 
 #: causes that are listed, and coefficients that stand for the size of one
 MAX_CAUSES: Final = 5
@@ -302,7 +300,6 @@ def _remains(gap: GapSection) -> str:
 
 # A printer: the numbers of its configuration, before and after.
 
-
 #: machines whose parameters are the numbers of a configuration file
 PRINTERS: Final = ("delta_printer", "rotary_delta_printer")
 
@@ -345,7 +342,6 @@ def number_blocks(result: StudyResult) -> list[Block]:
 
 
 # What to measure: instrument, set-ups, number of readings, and a picture of them.
-
 
 #: set-ups and stages named one by one
 MAX_NAMED: Final = 6
@@ -565,7 +561,6 @@ def _designed(design: DesignSection) -> str:
 
 # How accurate the machine is afterwards, with what is wanted beside it.
 
-
 REFERENCES: Final = {
     "absolute": "in the base frame",
     "home": "zeroed at the home pose",
@@ -575,7 +570,6 @@ REFERENCES: Final = {
 MAX_EFFECTS: Final = 4
 #: share of an error from which its unknown part is worth a sentence of its own
 CLEARLY_LESS: Final = 0.8
-
 
 LIMIT_COLUMNS: Final = (
     TableColumn("Wanted", number=True),
@@ -676,9 +670,6 @@ def verdicts(
     }
     stated = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
     return accuracy_verdicts(result, stated)
-
-
-# -- the components --------------------------------------------------------------------
 
 
 def remaining_errors(
@@ -812,7 +803,6 @@ def _planned_accuracy(plan: PlanSection) -> Table:
 
 
 # What the readings leave unknown, and what would bring it back.
-
 
 #: remedies of a finding that are named
 MAX_REMEDIES: Final = 4

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # What differs between results, in sentences and in one table.
-
 
 Results = Mapping[str, StudyResult]
 #: ratio from which two accuracies or times differ
@@ -135,9 +133,6 @@ def rms_by_component(results: Results) -> dict[str, dict[str, tuple[float, str]]
         for name, c in prediction.judged_components.items():
             sizes.setdefault(name, {})[label] = (c.judged.rms, c.judged.unit)
     return sizes
-
-
-# -- table -----------------------------------------------------------------------------
 
 
 def _study(result: StudyResult) -> str:

@@ -143,9 +143,7 @@ def _accuracy(corrected: CorrectedSection, prediction: PredictionSection) -> Tab
 
 CHAPTER: Final = Chapter("corrected", "Corrected model", blocks)
 
-
 # Chapter: what to adjust at the machine, and the page for the fitter.
-
 
 #: columns of the fitter's page to write in
 TO_FILL_IN: Final = ("Done", "Measured")

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # The robust and the nominal plan over the scenarios, as cumulative distributions.
 
 #: factor between the limits from which the axis is logarithmic
@@ -183,7 +182,6 @@ def blocks(result: StudyResult) -> list[Block]:
 
 CHAPTER: Final = Chapter("design", "How good the plan is", blocks)
 
-
 # -- poses and set-ups polished off the grid -------------------------------------------
 
 
@@ -264,7 +262,6 @@ def _sizes(factor: float) -> str:
 
 
 # -- the robust plan over many machines and set-ups ------------------------------------
-
 
 RISKS: Final = {"mean": "the mean over all", "worst": "the worst"}
 
@@ -376,7 +373,6 @@ def _how_many_caption(summary: HowManySummary) -> str:
 
 # The certificate of the chosen readings: in words, in numbers, and refusals.
 
-
 #: duality gap that is written as none
 NO_GAP: Final = 1e-9
 
@@ -420,9 +416,6 @@ def criterion_value(criterion: str, value: float | None) -> str:
     return text.number(value, 4)
 
 
-# -- in numbers ------------------------------------------------------------------------
-
-
 def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
     """Name and value of all that is stored; what is missing has an empty value."""
     criterion, setups = design.criterion, design.setups
@@ -443,7 +436,6 @@ def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
 
 
 def _shares(design: DesignSection) -> str:
-    """Shares of the criteria in a compound one."""
     total = sum(design.compound.values()) or 1.0
     return text.listing(
         f"{text.percent(weight / total)} {name}"
@@ -514,9 +506,6 @@ def _certificate_caption(design: DesignSection) -> str:
         return f"{caption}."
     bound = criterion_value(criterion, design.bound)
     return f"{caption}, and the best possible is no {_better(design)} than {bound}."
-
-
-# -- refusals --------------------------------------------------------------------------
 
 
 def _refusals(design: DesignSection) -> list[Block]:
@@ -631,7 +620,6 @@ def _directions_from(difference: float, ratio: float) -> float:
 
 
 def _write_percentages(axes: Axes, table: Array, low: float) -> None:
-    """Percentages in the cells; a dash where there is none."""
     for (i, j), share in np.ndenumerate(table):
         dark = (share - low) / (1.0 - low) > WHITE_LETTER_MIN_SHADE
         ink = style.INK if np.isfinite(share) else style.GREY
@@ -692,9 +680,6 @@ def _criteria_caption(design: DesignSection) -> str:
         f" The best compromise is the plan for {names[best]}, with"
         f" {text.percent(least[best])} or more by all."
     )
-
-
-# -- tables ----------------------------------------------------------------------------
 
 
 def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:

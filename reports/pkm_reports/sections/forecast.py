@@ -68,7 +68,6 @@ def _cells(*values: float | None) -> list[str]:
 def _table(
     forecast: ForecastSection, titles: list[str], fields: list[str], caption: str
 ) -> Table:
-    """One row for each component."""
     rows = [
         [
             f"{name} [{text.unit_symbol(c.unit)}]",

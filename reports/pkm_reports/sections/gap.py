@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-
 # Circles as a ball bar shows them: residuals magnified about the circle.
 
 MAX_CIRCLES: Final = 3
@@ -153,7 +152,6 @@ def _circle_panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) 
 
 
 def _goes_round(angle: Array) -> bool:
-    """Whether the readings go all the way round."""
     again = np.min(angle) + 2.0 * math.pi
     steps = np.diff([*np.sort(angle), again])
     return bool(steps.max() < 4.0 * np.median(steps) + 1e-9)
@@ -306,9 +304,7 @@ def _causes(gap: GapSection) -> Picture:
 
 CHAPTER: Final = Chapter("gap", "Diagnosis: causes, location, remedy", blocks, printed)
 
-
 # -- where the gap lies: legs, set-ups, runs, times, directions ------------------------
-
 
 MAX_PLACES: Final = 8
 #: probability of an even share below which a place stands out
@@ -316,7 +312,6 @@ P_VALUE: Final = 0.05
 
 
 def _places(gap: GapSection) -> list[Block]:
-    """Places with their share of the gap."""
     places = gap.where[:MAX_PLACES]
     if not places or not gap.effect_reported:
         return []
@@ -352,7 +347,6 @@ def _name(block: str) -> str:
 
 
 # -- how far the gap closes on held-out readings ---------------------------------------
-
 
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: share beyond which an end of an interval is not written in figures
@@ -544,7 +538,6 @@ def _untested(gap: GapSection) -> list[Block]:
 
 # -- coefficients against the sizes expected of them -----------------------------------
 
-
 MAX_COEFFICIENTS: Final = 12
 
 
@@ -592,7 +585,6 @@ def expected_sizes_text(coefficient: CoefficientRecord, number: float) -> float:
 
 # Explanations of the gap with their probabilities, and the sizes of the effects.
 
-
 MAX_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
 MAX_NAMED: Final = 6
@@ -635,9 +627,6 @@ def probabilities_caption(gap: GapSection) -> str:
     if more > 0:
         sentences.append(f"The {more} least probable are not shown.")
     return " ".join(sentences)
-
-
-# -- answers ---------------------------------------------------------------------------
 
 
 def _explanation_columns() -> list[TableColumn]:
@@ -708,9 +697,6 @@ def _effect_name(name: str, class_sizes: Mapping[str, int]) -> str:
     return spoken(name)
 
 
-# -- sizes -----------------------------------------------------------------------------
-
-
 def _size_table(gap: GapSection) -> Table:
     columns = [
         TableColumn("Effect"),
@@ -756,7 +742,6 @@ def _effect_constants(gap: GapSection, effect: str) -> Mapping[str, float]:
 
 # Chapter: parameters and accuracy over all hypotheses of a diagnosis.
 
-
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
     CompensationName.MIXTURE: "Geometry, over all hypotheses",
@@ -789,7 +774,6 @@ def mixture_printed(result: StudyResult) -> list[Block]:
 def _compensation_choices(
     section: MixtureSection, prediction: PredictionSection
 ) -> Table:
-    """A row for each compensation."""
     names = list(prediction.components)
     units = [text.unit_symbol(prediction.unit[name]) for name in names]
     heads = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]

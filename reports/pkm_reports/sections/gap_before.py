@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Which effects can be distinguished from which others: a matrix of sqrt(lambda).
 
 #: sqrt(lambda) below which two effects are not distinguished
@@ -167,9 +166,6 @@ def printed(result: StudyResult) -> list[Block]:
     return [findings, *([] if before.chosen is None else [_runs(before.chosen)])]
 
 
-# -- chosen runs -----------------------------------------------------------------------
-
-
 def _runs(chosen: ChosenRuns) -> Block:
     minutes = [text.number(units.number(run.seconds, "min"), 2) for run in chosen.runs]
     return runs_table(chosen.runs, "Takes [min]", minutes, _runs_caption(chosen))
@@ -223,9 +219,6 @@ def _separations(chosen: ChosenRuns) -> Block:
 def _form(separation: SeparationRecord) -> str:
     name = spoken(separation.effect)
     return name if separation.words == name else f"{name}, {separation.words}"
-
-
-# -- detectability ---------------------------------------------------------------------
 
 
 def _detectability(
@@ -365,7 +358,6 @@ CHAPTER: Final = Chapter(
     "gap-before", "What these readings could detect", blocks, printed
 )
 
-
 # Chapter: a second visit, and what its readings are expected to decide.
 
 
@@ -387,7 +379,6 @@ def visit_blocks(result: StudyResult) -> list[Block]:
 VISIT_CHAPTER: Final = Chapter(
     "second_visit", "A second visit", visit_blocks, visit_blocks
 )
-
 
 # Table of runs to take, each under its condition.
 

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Residuals of each run, before and after the effects are in the model.
-
 
 MAX_TRACES: Final = 9
 MAX_COLUMNS: Final = 3
@@ -151,7 +149,6 @@ def _set_title(axes: Axes, trace: Trace, *, loads: bool) -> None:
 
 
 # Probability of each effect, and the size of those that were identified.
-
 
 MAX_EFFECTS: Final = 10
 #: probability above which only "more than" is written, never certainty

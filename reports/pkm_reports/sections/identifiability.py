@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Singular values of the scaled identification matrix, and the tolerance of the rank.
 
 
@@ -188,9 +187,6 @@ def _directions(
     return [Table(columns, rows, f"{title}: {count}, the largest terms first.")]
 
 
-# -- variants --------------------------------------------------------------------------
-
-
 def _variants(
     variants: Mapping[str, IdentifiabilitySection], plan: IdentifiabilitySection | None
 ) -> Table:
@@ -261,7 +257,6 @@ def _values(section: IdentifiabilitySection, names: Iterable[str]) -> list[str]:
 
 CHAPTER: Final = Chapter("identifiability", "What the readings can determine", blocks)
 
-
 # Condition number over the number of circles and of points on each circle.
 
 #: kappa above so many times the smallest leaves the panel, so that the minimum shows
@@ -308,7 +303,6 @@ def _kappa_panel(axes: Axes, entry: KappaMap) -> None:
 
 
 def _smallest_of_line(n: Array, kappa: Array) -> str:
-    """Smallest value of a line and where it is."""
     if not np.isfinite(kappa).any():
         return "not finite"
     smallest = int(np.nanargmin(kappa))

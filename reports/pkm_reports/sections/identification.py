@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 
 #: runs that the table shows
@@ -332,9 +331,6 @@ def printed(result: StudyResult) -> list[Block]:
     return [_table(estimate.parameters)]
 
 
-# -- the fit ---------------------------------------------------------------------------
-
-
 def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
     aside = "" if checked is None else checked.fit_words
     sentences = [f"The fit uses {text.count(estimate.readings, 'reading')}{aside}."]
@@ -384,9 +380,6 @@ def _runs(estimate: EstimateSection) -> list[Block]:
         return []
     caption = curves_caption(curves)
     return [Picture("run_curves", lambda: draw_run_curves(curves), caption)]
-
-
-# -- parameters ------------------------------------------------------------------------
 
 
 def _parameters_caption(values: Estimates) -> str:
@@ -485,9 +478,7 @@ def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
 
 CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)
 
-
 # Readings along circles and lines: measured, predicted with interval, compensated.
-
 
 #: runs that are drawn
 MAX_CURVES: Final = 4
@@ -577,9 +568,6 @@ def _draw_predicted(axes: Axes, along: Array, values: Array, half: Array) -> Non
 def _draw_band(axes: Axes, along: Array, values: Array, half: Array) -> None:
     look: Any = {"color": style.LIGHT, "lw": 0.0, "label": INTERVAL}
     axes.fill_between(along, values - half, values + half, **look)
-
-
-# -- in words --------------------------------------------------------------------------
 
 
 def curves_caption(curves: Sequence[RunCurve]) -> str:

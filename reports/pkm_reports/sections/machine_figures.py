@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # 3-D axes with one scale on all axes, fitted to a rectangle of the figure.
 
-
 #: lower and upper corner (3,) of what is shown, mm
 Box = tuple[Array, Array]
 #: left, bottom, right and top of a rectangle, as shares of the figure
@@ -355,7 +354,6 @@ def draw_overview(drawing: Drawing) -> Figure:
 
 # A machine at its guess, and where its closure is met best: what keeps it open.
 
-
 #: inches
 CLOSURE_WIDTH: Final = 9.0
 MIN_HEIGHT, ROW, HEAD = 4.4, 0.34, 1.4
@@ -384,9 +382,6 @@ def draw_closure(closure: ClosestClosure, title: str, joints: list[str]) -> Figu
     legend: Any = {"loc": "lower left", "ncols": 4, "bbox_to_anchor": (0.02, 0.0)}
     figure.legend(handles=_legend(closure), **legend)
     return figure
-
-
-# -- the machine -----------------------------------------------------------------------
 
 
 def _drawing(figure: Figure, closure: ClosestClosure, joints: list[str]) -> None:
@@ -453,7 +448,6 @@ def _struts(axes: Any, closure: ClosestClosure, joints: list[str]) -> None:
 
 
 def _frame(axes: Any, origin: Array, turned: Array, length: float, name: str) -> None:
-    """Three axes from an origin, with its name."""
     if not np.isfinite(origin).all():
         return
     for letter, direction in zip("xyz", turned.T, strict=True):
@@ -465,9 +459,6 @@ def _frame(axes: Any, origin: Array, turned: Array, length: float, name: str) ->
     look: Any = {"fontsize": 7.5, "color": style.GREEN, "ha": "right"}
     look["va"] = "top" if name == BASE else "bottom"
     axes.text(*origin, f"{name}  ", **look)
-
-
-# -- the equations ---------------------------------------------------------------------
 
 
 def _bars(axes: Axes, closure: ClosestClosure) -> None:
@@ -501,7 +492,6 @@ def _bars(axes: Axes, closure: ClosestClosure) -> None:
 def _amount(
     axes: Axes, value: float, row: float, colour: str, phrase: str | None = None
 ) -> None:
-    """A number at the end of its bar."""
     look: Any = {"va": "center", "fontsize": 7, "color": colour}
     end = float(np.nan_to_num(value))
     axes.text(end, row, f" {_words(value) if phrase is None else phrase}", **look)

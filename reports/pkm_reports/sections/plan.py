@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Times, budgets and goals of a plan in words.
 
 
@@ -77,7 +76,6 @@ def _budget(minutes: float) -> str:
 
 
 # Chapter: the machine, and which readings to take in which order.
-
 
 # The path through the poses in working order, a panel for each set-up.
 
@@ -255,9 +253,6 @@ def _numbers_by_place(
     for k in finite:
         numbers[places[k]].append(k + 1)
     return numbers
-
-
-# -- numbers ---------------------------------------------------------------------------
 
 
 def write_numbers(
@@ -448,9 +443,6 @@ def _drawing_caption(drawing: Drawing) -> str:
     return f"{caption} {points}{where}; together they span {span}."
 
 
-# -- readings --------------------------------------------------------------------------
-
-
 def _choice(design: DesignSection) -> str:
     """What was chosen, by what, out of how many."""
     readings = text.count(design.n, "reading")
@@ -544,9 +536,6 @@ def _stages(plan: PlanSection) -> list[Block]:
 
 
 CHAPTER: Final = Chapter("plan", "Machine and plan", blocks)
-
-
-# -- working order ---------------------------------------------------------------------
 
 
 def working_order(design: DesignSection) -> list[Block]:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Posterior of the worst-determined directions: each alone, and all pairs.
 
 Limits = tuple[float, float]

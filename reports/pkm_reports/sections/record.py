@@ -12,7 +12,6 @@ MAX_VALUE_CHARACTERS: Final = 70
 
 
 def _claims(result: StudyResult) -> list[Block]:
-    """Each claim with what was measured and what is wanted."""
     claims = result.claims
     if not claims:
         return []

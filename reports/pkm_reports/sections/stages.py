@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
 #: parameters named for each stage, those that improve most
@@ -62,9 +61,6 @@ MIN_FACTOR: Final = 1.05
 MAX_TERMS_LENGTH: Final = 56
 #: expected losses that are written as none
 NO_LOSS: Final = 0.005
-
-
-# -- schedule --------------------------------------------------------------------------
 
 
 def schedule(plan: PlanSection) -> Table:
@@ -137,9 +133,6 @@ def _schedule_table_caption(plan: PlanSection) -> str:
             " reading."
         )
     return " ".join(sentences)
-
-
-# -- parameters ------------------------------------------------------------------------
 
 
 def improvements(plan: PlanSection, machine: MachineInfo) -> Table:
@@ -216,9 +209,6 @@ def shorten_combination(combination: str) -> str:
         return shorten(opening, MAX_TERMS_LENGTH)
     last_term = max(opening.rfind(" + "), opening.rfind(" - "))
     return f"{opening[:last_term]} ..."
-
-
-# -- accuracy --------------------------------------------------------------------------
 
 
 def accuracy_table(plan: PlanSection) -> Table:
@@ -385,7 +375,6 @@ def _pictures(plan: PlanSection) -> list[Block]:
 
 CHAPTER: Final = Chapter("stages", "Which measurement at which stage", blocks, printed)
 
-
 # -- the plan that allows for effects, beside one for a machine without ----------------
 
 
@@ -461,7 +450,6 @@ def _range(shares: Sequence[float]) -> str:
 
 
 def _alternatives(plan: PlanSection) -> list[Block]:
-    """A table of plans, and the alternatives that are stored as sentences."""
     described = [entry for entry in plan.alternatives if isinstance(entry, str)]
     sentences = headed_list("Alternatives considered:", text.sentences(described))
     others = alternatives(plan)
@@ -492,9 +480,6 @@ def _alternatives(plan: PlanSection) -> list[Block]:
         f" The plan itself: {cost}, value {of_plan}."
     )
     return [Table(columns, rows, caption), *sentences]
-
-
-# -- captions --------------------------------------------------------------------------
 
 
 #: minutes below which no time is said to remain
@@ -850,7 +835,6 @@ def _points(pairs: Sequence[tuple[float, float]]) -> Array:
 
 
 def _set_limits(axes: Axes, plans: Array, plan: PlanSection) -> None:
-    """Limits that hold all plans, the budget and the bounds."""
     minutes = np.append(plans[:, 0], missing.finite([plan.budget_min]))
     bounds = missing.finite([plan.bound, *[s.bound for s in plan.compared]])
     bounds += [1.0] if plan.goal else []

@@ -88,7 +88,6 @@ RC: Final[dict[str, Any]] = {
     "ytick.major.width": 0.7,
 }
 
-
 # -- figures and images ----------------------------------------------------------------
 
 
@@ -188,9 +187,6 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     return {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(distinct)}
 
 
-# -- axes ------------------------------------------------------------------------------
-
-
 def log_axis(axes: Axes, which: str) -> None:
     """Give the x or y axis a log scale with plain labels.
 
@@ -248,9 +244,6 @@ def hide(panels: Iterable[Axes]) -> None:
     """Hide the panels of a grid that nothing is drawn in."""
     for axes in panels:
         axes.set_visible(False)
-
-
-# -- legends ---------------------------------------------------------------------------
 
 
 def legend_entries(panels: Iterable[Axes]) -> dict[str, Artist]:

@@ -156,7 +156,6 @@ def _poses(used: StudyWorkspace) -> Array:
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:
-    """What the promise rests on."""
     if result.corrected is None:
         return _states_of_use(result.judged_prediction)
     return (*result.corrected.conditions, *without_effects(result))
@@ -266,7 +265,6 @@ def covariances(
 
 
 def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
-    """Numbers of the components that vary."""
     variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
     return np.flatnonzero(variance > 0.0).tolist()
 

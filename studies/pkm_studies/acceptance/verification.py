@@ -43,7 +43,6 @@ from pkm_studies.user_code import Consent
 
 # Compares readings along runs of the compensated machine with their prediction.
 
-
 #: probability below which readings contradict their prediction
 CONTRADICTION_P_VALUE = 1e-3
 

@@ -174,7 +174,6 @@ def named_items(kind: str) -> dict[str, tuple[str, Any]]:
 
 
 def _item_class(kind: str) -> Any:
-    """Class of the items of a kind; its module alone is imported."""
     module_name, class_name = CLASSES[kind]
     return getattr(importlib.import_module(module_name), class_name)
 

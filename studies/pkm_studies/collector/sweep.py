@@ -186,9 +186,6 @@ def _short(value: Any) -> str:
     return str(value)[:MAX_VALUE_CHARACTERS]
 
 
-# -- results ---------------------------------------------------------------------------
-
-
 def shared_folder(factory: pytest.TempPathFactory) -> Path:
     """Folder of the session's results, which all processes of pytest-xdist see."""
     base = factory.getbasetemp()
@@ -222,5 +219,4 @@ def _run(study: Study, folder: Path) -> None:
 
 
 def _fail(message: str) -> NoReturn:
-    """Fail the test with a message and no traceback."""
     pytest.fail(message, pytrace=False)

@@ -71,7 +71,6 @@ def _check_alone(
 
 
 def _no_readings() -> InputError:
-    """The error where neither readings nor a diagnosis is given."""
     return InputError(
         "there is nothing to advise from",
         "give --readings FILE.csv, or --after DIR with the folder of a diagnosis",

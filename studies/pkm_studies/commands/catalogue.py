@@ -64,7 +64,6 @@ def list_entries(
 
 
 def _entries(kind: Kind) -> list[ListedEntry]:
-    """The entries of a kind."""
     if kind is Kind.studies:
         from pkm_studies import shipped
 

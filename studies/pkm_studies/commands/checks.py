@@ -146,7 +146,6 @@ def _check_study(
 
 
 def _add_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
-    """What a check of readings says."""
     checked = stages.check_dataset(study, data, _rng(study))
     findings = [f.sentence for f in checked.findings if not f.is_remark]
     remarks = [f.sentence for f in checked.findings if f.is_remark]
@@ -229,7 +228,6 @@ def _names_file(study: Study, path: Path) -> bool:
 
 
 # `oed check STUDY --picture FILE`: the machine at its guess, and what stays open.
-
 
 KINDS = (".png", ".svg", ".pdf")
 

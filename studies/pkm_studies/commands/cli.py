@@ -51,7 +51,6 @@ FUNCTIONS = {
     "next": ("at_machine", "next_reading"),
 }
 
-
 #: columns before and between the names and the texts of the help
 HELP_INDENT = 6
 #: commands by when one needs them; those of other packages come where they are named

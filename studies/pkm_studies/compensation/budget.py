@@ -230,8 +230,6 @@ def add_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection
 
 
 def _added(line: FileLine, total: Values) -> BudgetLine:
-    """A line of the file among all errors."""
-
     def share_text(share: float) -> dict[str, float]:
         """The rms errors with a share of the line's mean square."""
         gone = {n: (1.0 - share) * line.rms[n] ** 2 for n in total}

@@ -149,7 +149,6 @@ def _add_grid(
 
 
 def _poses(result: StudyResult, machine: Machine) -> tuple[MeasuringPose, ...]:
-    """The planned poses of the result, in working order."""
     if result.design is None:
         return ()
     return tuple(
@@ -250,7 +249,6 @@ def _held_notes(result: StudyResult) -> tuple[str, ...]:
 
 
 def _add_version(study: Study, controller: ControllerFormat, version: str) -> Study:
-    """The study with the version of the firmware that is written for."""
     if not controller.versions:
         raise InputError(
             f"{controller.name} is the same for all versions",

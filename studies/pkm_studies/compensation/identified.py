@@ -66,7 +66,6 @@ def result_study(
 def _given_study(
     result: StudyResult, study_file: Path, consent: Consent, location: Location
 ) -> Study:
-    """The study of a file, if it is that of the result's machine."""
     study = Study.load(study_file, consent)
     difference = machine_difference(result.machine, study_machine(study))
     if difference is None:

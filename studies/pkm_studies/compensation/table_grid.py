@@ -252,7 +252,6 @@ def _place(value: float, unit: str) -> str:
 
 # Limbs of a machine as bodies and joints, from the ends of its struts.
 
-
 #: change of a rotary joint, rad, from which the motion of a strut's end is taken
 TURN = 0.5
 #: change of a linear joint, m, for the same

@@ -85,9 +85,6 @@ def draft_text(
     return "\n".join(blocks)
 
 
-# -- tables ----------------------------------------------------------------------------
-
-
 def _head(name: str, machine: Machine, instrument: Instrument) -> str:
     machine_about = machine.about or machine.name
     instrument_about = instrument.about or instrument.name
@@ -245,9 +242,6 @@ def _claims() -> str:
 # [expect]
 # rank = { of = "identifiability.rank", min = 1 }
 """
-
-
-# -- candidates ------------------------------------------------------------------------
 
 
 def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[str]:

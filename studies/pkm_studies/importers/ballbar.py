@@ -36,7 +36,6 @@ from pkm_studies.tables import CIRCLE_PLANES
 # A run ends where the angle turns back, which is how a forward and a backward circle
 # follow each other in one file.
 
-
 #: columns of a trace, with their SI units
 QUANTITIES = {"angle": "rad", "time": "s", "deviation": "m"}
 #: words by which a column without a map is recognised, and its unit where none is named
@@ -241,7 +240,6 @@ def _drop_feeds(trace: BarTrace, circle: CircleFacts) -> BarTrace:
 
 # Ball-bar traces: deviation of the bar's length against angle, or against time.
 
-
 #: harmonics of a turn that are not noise, at most
 MAX_HARMONIC = 15
 INSTRUMENT = "ball_bar_free_cup"
@@ -298,7 +296,6 @@ class BallbarImporter:
 
 importer = BallbarImporter()
 
-
 # -- study and readings ----------------------------------------------------------------
 
 
@@ -344,7 +341,6 @@ def _rows(
 
 
 def _row(run: _CircleRun, i: int, command: Array, machine: Machine) -> Row:
-    """Mean i of a run."""
     facts, mean = run.circle.facts, run.mean
     row = {
         "setup": run.circle.setup,
@@ -592,9 +588,6 @@ def _check_all_taken(
                 f"run {number} of {name} belongs to no circle",
                 "add it to runs of a circle, or cut it from the file",
             )
-
-
-# -- set-ups ---------------------------------------------------------------------------
 
 
 def _setups(mapping: ColumnMap, location: Location) -> list[str]:

@@ -133,7 +133,6 @@ def text(column_map: ColumnMap) -> str:
 
 
 def _given(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a table that have a value."""
     return {k: v for k, v in table.items() if v is not None and v != []}
 
 
@@ -179,7 +178,6 @@ def _model(
 
 
 def _stated(table: MachineTable) -> dict[str, Any]:
-    """The fields of a table that are not at their defaults."""
     plain: dict[str, Any] = msgspec.to_builtins(table)
     defaults = msgspec.to_builtins(MachineTable(model=""))
     return {key: value for key, value in plain.items() if value != defaults[key]}

@@ -361,7 +361,6 @@ def statements(
 
 
 def _order(setups: Sequence[str], runs: Sequence[str]) -> list[str]:
-    """Numbers within each run, in the order of the file."""
     count: dict[tuple[str, str], int] = {}
     order = []
     for run in zip(setups, runs, strict=True):

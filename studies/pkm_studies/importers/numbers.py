@@ -220,7 +220,6 @@ def _prior(machine: Machine) -> tuple[str, str]:
 # A name is a quantity with, at will, a unit and a word that says whether it was commanded or
 # measured. Lengths without a unit are mm, angles degrees.
 
-
 WORD: Final = re.compile(r"[a-z]+|\d+")
 MEASURED: Final = {"measured", "meas", "read", "actual", "real", "probed"}
 COMMANDED: Final = {"commanded", "command", "cmd", "set", "target", "nominal"}

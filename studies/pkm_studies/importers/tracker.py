@@ -392,7 +392,6 @@ def _check_deleted(table: CsvTable) -> None:
 # target. Readings of a target without its orientation are a set-up of their own, so that an
 # orientation that was not measured stays out and costs no point.
 
-
 STATION = "tracker"
 #: end of the name of a target's readings without orientation
 POINTS = "_points"

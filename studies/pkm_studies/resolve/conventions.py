@@ -19,7 +19,6 @@ from pkm_studies.quantities import column
 if TYPE_CHECKING:
     from oed.measurement import Measurement
 
-
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
 PASSIVE, PARAMETER = "passive joint", "parameter"
 
@@ -129,7 +128,6 @@ def _add_drive(component: Component) -> str:
 
 
 def _explained(orientation: Orientation) -> str:
-    """What T is, where the orientation has one."""
     if not any(kind == "tilt" for kind, _ in orientation.factors):
         return ""
     return ", T(rx, ry) a rotation by the vector (rx, ry, 0)"

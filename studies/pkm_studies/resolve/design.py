@@ -158,7 +158,6 @@ def _metres_of(mm: Point) -> Point:
 
 # Candidates of [design], given reference plans, and circles of [[kappa]].
 
-
 #: largest share by which a reading may differ from what the instrument holds
 HOLD_TOLERANCE = 0.01
 #: m; a shorter distance from the cup is rounding
@@ -213,7 +212,6 @@ def candidates(
 def _is_within_limits(
     table: DesignTable, measurement: Measurement, series: Series, location: Location
 ) -> tuple[Series, dict[str, int]]:
-    """The series within [design.limits], and its refusals by reason."""
     if table.limits is None:
         return series, {}
     return keep_within_limits(
@@ -321,7 +319,6 @@ def circles(
 def _further(
     table: KappaTable, plans: Sequence[ReferencePlan], location: Location
 ) -> tuple[Series, ...]:
-    """The readings of the reference plan that the table names, if any."""
     if table.with_ is None:
         return ()
     by_name = {plan.name: plan.series for plan in plans}
@@ -432,9 +429,6 @@ def _groups(candidates: Sequence[Series], whole_runs: bool) -> list[_Group]:
     return groups
 
 
-# -- fields ----------------------------------------------------------------------------
-
-
 def _checked_size(table: DesignTable, location: Location) -> int:
     """The number of readings.
 
@@ -469,7 +463,6 @@ def _checked_size(table: DesignTable, location: Location) -> int:
 def _numbers(
     quota: QuotaTable, size: int, location: Location
 ) -> tuple[int, int | None]:
-    """Least and largest number of a quota."""
     for number, share in (("min", "min_share"), ("max", "max_share")):
         stated = getattr(quota, number), getattr(quota, share)
         if None not in stated:
@@ -490,9 +483,6 @@ def _numbers(
             f"more than the largest number, {most}", "lower it, or raise max", least
         )
     return least or 0, most
-
-
-# -- selections ------------------------------------------------------------------------
 
 
 def _members(
@@ -559,7 +549,6 @@ def _is_within_ranges(
 def _join_equally(
     quota_set: QuotaSet, by: str, groups: Sequence[_Group], location: Location
 ) -> QuotaSet:
-    """The quotas with equal numbers a set-up or a run."""
     labels = [group.setup for group in groups]
     if by == "run":
         labels = [f"{group.setup}, {group.run}" for group in groups]
@@ -568,9 +557,6 @@ def _join_equally(
     except ValueError as error:
         remedy = "change readings accordingly, or give a quota for each"
         raise location.error(str(error), remedy, by) from error
-
-
-# -- contradictions --------------------------------------------------------------------
 
 
 def _check_feasible(

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
 # Effects as a study states them: expected sizes ([effects], `leg_thermal_C = 1`), gears.
 
-
 #: how a quotient is written in the name of a field: `ppm_per_C`
 PER = "_per_"
 
@@ -126,7 +125,6 @@ def _spelt(unit: str) -> str:
 
 # Effects beside the geometry that a design or plan of a study allows for.
 
-
 #: values of `effects` that allow none, and all
 NO_EFFECTS, ALL_EFFECTS = "none", "catalogue"
 #: combinations of effects that are unknowns of candidates, at most
@@ -135,7 +133,6 @@ MAX_EFFECT_UNKNOWNS = 60
 DRAWN_COURSES = 8
 #: time that a session lasts where nothing says it, s
 SESSION_SECONDS = 7200.0
-
 
 ALL = "all"
 
@@ -560,7 +557,6 @@ def _commands(series: Series, rows: np.ndarray) -> Array:
 
 
 def _condition_words(condition: RunCondition) -> list[str]:
-    """The condition as parts of a run's name."""
     phrases = []
     if condition.payload is not None:
         phrases.append(f"{condition.payload:g} N")
@@ -583,7 +579,6 @@ def _condition_si(condition: RunCondition) -> dict[str, float]:
 
 
 # What [gap.design] requests: effects to separate, candidate runs, rules of choice.
-
 
 #: `keep` with this name is the plan that [plan] makes
 PLAN = "plan"
@@ -704,9 +699,6 @@ def _effects(
             )
         effects.append(effect)
     return tuple(effects)
-
-
-# -- rules -----------------------------------------------------------------------------
 
 
 def _rules(

@@ -245,9 +245,6 @@ def _single_values(
     return values
 
 
-# -- samples ---------------------------------------------------------------------------
-
-
 def _sampled(
     table: GridTable,
     kinematics: Kinematics,
@@ -385,9 +382,6 @@ class Circles:
         )
 
 
-# -- commands --------------------------------------------------------------------------
-
-
 def grid_commands(
     axes: Mapping[str, Axis], machine: Machine, location: Location
 ) -> tuple[Array, str | None, dict[str, str]]:
@@ -502,9 +496,6 @@ def solve_held(
         remedy = "move the grid or the teach pose, or take another bar"
         raise location.error(problem, remedy, "hold")
     return solved[solvable], lost
-
-
-# -- series ----------------------------------------------------------------------------
 
 
 def planned_series(

@@ -73,7 +73,6 @@ def names_of_one_unit(
 
 # Commands that a machine cannot reach, in words.
 
-
 #: remedy for poses out of reach
 REACH_REMEDY = (
     "keep to poses the machine can reach; check tool and units, and well inside the"
@@ -256,7 +255,6 @@ def _check_drive(table: DriveTable, machine: Machine, location: Location) -> Non
 
 
 def _family_machine(table: MachineTable, model: Machine, location: Location) -> Machine:
-    """The machine that [machine.geometry] describes."""
     location = location.key("geometry")
     if not table.geometry:
         return model
@@ -368,7 +366,6 @@ def _ranges(
     coordinates: tuple[Coordinate, ...],
     location: Location,
 ) -> tuple[Coordinate, ...]:
-    """Coordinates with the ranges of a table. Raises InputError."""
     unit_of = {c.name: c.unit for c in coordinates}
     ranges = {}
     for key, ends in table.items():

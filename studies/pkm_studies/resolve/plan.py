@@ -299,7 +299,6 @@ def _option(
 def _grid(
     table: MeasuredTable, setup: str, measurement: Measurement, location: Location
 ) -> Series:
-    """The candidate readings of one set-up."""
     grid = GridTable(
         setup=setup,
         runs_by=table.runs_by,

@@ -151,7 +151,6 @@ def _is_covariate(column: ReadingsColumn) -> bool:
 
 
 def _column(covariate: str) -> str:
-    """A covariate as its column is called."""
     column = ReadingsColumn.from_covariate(covariate)
     return covariate if column is None else column.name
 
@@ -272,7 +271,6 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
 
 #: values of each coordinate at which the workspace is tried
 N_TRIED = 3
-
 
 #: most poses that are tried
 MAX_TRIED = 729

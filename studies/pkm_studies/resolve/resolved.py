@@ -395,9 +395,6 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
     return kinematics.with_controller(Controller(values))
 
 
-# -- parameters ------------------------------------------------------------------------
-
-
 def _json_rows(path: Path, location: Location, name: str, machine: Machine) -> Rows:
     """Rows {parameter: value, unit, nominal} of a compensation.json."""
     text = files.read_text(path, limit=MAX_BYTES, what="parameter table")
@@ -469,9 +466,6 @@ def _number(row: Mapping[str, Any], key: str) -> float | None:
 def _other_machine(location: Location, name: str, phrase: str) -> InputError:
     problem = f"it is the table of another machine: {phrase}"
     return location.error(problem, "name a table of this machine", name)
-
-
-# -- joint corrections -----------------------------------------------------------------
 
 
 def _tabled(kinematics: Kinematics, path: Path, location: Location) -> Controller:

@@ -26,7 +26,6 @@ from pkm_studies.tables import BoundsTable, ToleranceTable
 
 # Noise of the set-ups, and what else of it is stated, as the study gives them.
 
-
 #: least noise of an instrument, SI: below it sums of squares lose all digits
 MIN_SIGMA = 1e-12
 #: largest noise and tolerance, SI: above it sums of squares lose all digits
@@ -58,7 +57,6 @@ def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
 
 
 def _law(study: Study, location: Location) -> NoiseStatement:
-    """What is stated of all readings."""
     table = study.noise
     if table.carried == 0.0 and table.reach_readings is not None:
         raise location.key("reach_readings").error(
@@ -401,9 +399,6 @@ def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None
     return set(matching_names(study.machine.fixed, names, location))
 
 
-# -- bounds ----------------------------------------------------------------------------
-
-
 def with_bounds(study: Study, machine: Machine) -> Machine:
     """The machine with the bounds of [[prior.bounds]].
 
@@ -426,7 +421,6 @@ def with_bounds(study: Study, machine: Machine) -> Machine:
 
 
 def _bounded(machine: Machine, table: BoundsTable, location: Location) -> Machine:
-    """The machine with the bounds of one table."""
     units = {p.name: p.unit for p in machine.parameters}
     matched, unit = names_of_one_unit(
         table.parameters, units, location.key("parameters")

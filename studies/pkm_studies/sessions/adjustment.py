@@ -114,7 +114,6 @@ def adjustable_machine(
 
 
 def _conditions(result: StudyResult) -> list[str]:
-    """What the figures rest on."""
     return [] if result.corrected is None else list(result.corrected.conditions)
 
 
@@ -187,9 +186,6 @@ def _total(adjustable: AdjustableMachine, wanted: str) -> tuple[str, str]:
     if aside:
         about += f"; {', '.join(aside)} count for nothing"
     return about, "1"
-
-
-# -- the section -----------------------------------------------------------------------
 
 
 def _section(
@@ -322,7 +318,6 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
 
 
 def _total_value(section: AdjustmentSection, value: float) -> str:
-    """A total error with its unit."""
     unit = " times what is wanted" if section.total_unit == "1" else " um"
     return f"{value:.4g}{unit}"
 

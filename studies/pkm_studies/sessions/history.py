@@ -22,7 +22,6 @@ from pkm_studies.user_code import Consent
 
 # Compares the results of two sessions of one machine: what changed.
 
-
 #: a section with parameters, their covariance and chi2
 Fitted = EstimateSection | CorrectedSection
 

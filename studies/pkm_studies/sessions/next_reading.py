@@ -43,7 +43,6 @@ from pkm_studies.study import Study
 
 # Effects beside the geometry in the advice at the machine, at their expected sizes.
 
-
 #: machines that are drawn for an interval or a probability
 DRAWN_MACHINES = 4000
 #: share of a wanted accuracy that no reading reaches
@@ -322,7 +321,6 @@ class Adviser:
     def _outlook(
         self, measurement: Measurement, theta: Array, estimate: Estimate | None
     ) -> Outlook:
-        """The outlook of a machine without effects."""
         resolved = self.base.resolved
         pool = Candidates.build(measurement, resolved.candidates, theta, "tolerance")
         before = self.prior(measurement, pool)
@@ -546,7 +544,6 @@ def _objections(
 
 # The advice at the machine, and its sentences: what is known, what to read, when to stop.
 
-
 #: readings that are thought ahead, to say how many reach what is wanted
 MAX_AHEAD = 100
 #: share of the error below which a further reading is not worth its time
@@ -754,10 +751,8 @@ def _words(condition: Mapping[str, float]) -> Iterator[str]:
 
 # Poses that an operator has skipped, from the remarks of a readings file.
 
-
 #: largest difference of a written command, mm or deg: twice its last digit
 WRITTEN_STEP: Final = 2e-4
-
 
 #: how the remark of a skipped pose begins
 SKIPPED: Final = "skipped"

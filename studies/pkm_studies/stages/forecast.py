@@ -79,7 +79,6 @@ def _residual(name: str, c: ForecastComponent) -> str:
 
 # Table [forecast] as the kernel's objects: workspace, candidates, noise; SI.
 
-
 #: places at which errors count, drawn evenly over the box of the workspace
 WORKSPACE_PLACES = 256
 #: candidates along each axis, by the number of axes; further ones have the last
@@ -286,7 +285,6 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
 
 
 # Section `forecast` of a result: the planned nodes, the measured ones, what is left.
-
 
 #: a node is in doubt that is so many standard deviations off what the others predict
 DOUBTFUL_NODE_DEVIATIONS = 4.5
@@ -500,7 +498,6 @@ def _doubts(task: ForecastTask, command: Array, pull: Array) -> Iterator[str]:
 
 
 # Files of a forecast: nodes to fill in, nodes as measured, and the controller's table.
-
 
 NODES, TABLE = "forecast_nodes.csv", "forecast_table.csv"
 #: columns of a component's measured error, and of its standard deviation

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from oed.result import Claim, StudyResult
     from pkm_reports.blocks import Table
 
-
 # A design in sentences: what its readings reach, and on a machine with effects.
 
 
@@ -79,7 +78,6 @@ def design_sentences(section: DesignSection | None) -> list[str]:
 
 
 def _value(criterion: str, value: float) -> str:
-    """What a plan reaches by a criterion."""
     label = _label(criterion)
     if label:
         return f"{label} {value:.2f}"
@@ -338,7 +336,6 @@ def unmodelled_sentence(
 
 
 def _held_out(sections: Sequence[HeldOutSection]) -> list[str]:
-    """What held-out readings say of the fit."""
     return [f"{section.words}." for section in sections]
 
 
@@ -362,7 +359,6 @@ def lost_directions(section: IdentifiabilitySection | None) -> list[str]:
 
 
 def _indices(section: IdentifiabilitySection | None) -> list[str]:
-    """The indices that the study asks for."""
     return [] if section is None else CRITERIA.sentences(section.indices)
 
 
@@ -380,7 +376,6 @@ def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> li
 
 
 def _aside(checked: GoodnessSection | None) -> str:
-    """Which rows the fit leaves out."""
     return f",{checked.fit_words}," if checked is not None and checked.outliers else ""
 
 
@@ -397,9 +392,6 @@ def _posterior(section: PosteriorSection | None) -> list[str]:
         f"The posterior has {section.draws} draws, {size} and an R-hat of at most"
         f" {rhat:.3f}."
     ]
-
-
-# -- numbers ---------------------------------------------------------------------------
 
 
 def predicted_accuracy(section: PredictionSection | None) -> dict[str, float]:
@@ -441,7 +433,6 @@ def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[s
 
 
 # What a terminal prints of a result, and the exit code.
-
 
 #: lines of a summary, which a terminal shows without scrolling
 MAX_LINES: Final = 12

@@ -137,7 +137,6 @@ def write(
 
 
 def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
-    """Text files by name that go with the result."""
     texts = {**state.forecast_files, **state.session_files}
     if state.gap_poses is not None:
         texts["gap_poses.csv"] = state.gap_poses

@@ -183,7 +183,6 @@ def _true_parameters(state: RunState) -> Array:
 
 # What a run would refuse of a study before it computes anything, for `oed check`.
 
-
 #: candidates at which an effect is asked for its coefficients
 N_ASKED = 5
 NOTHING_TO_RUN = (

@@ -183,7 +183,6 @@ def _thermometers(
 
 
 def _bodies_text(bodies: Sequence[str]) -> str:
-    """Thermometers in words: `a thermometer on leg 2`."""
     if len(bodies) > 1:
         return f"thermometers on all {len(bodies)} legs"
     (body,) = bodies

@@ -74,7 +74,6 @@ SCHEMAS: dict[str, Callable[[], Schema]] = {
 
 
 def _schema(kind: type, title: str) -> Schema:
-    """Schema of a kind of record, with the meaning of each field."""
     schema = {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
     for definition in schema["$defs"].values():
         properties = definition.get("properties", {})

@@ -8,7 +8,6 @@ from pkm_studies.tables.base import Count, Positive, StudyTable, Triple
 
 # Tables of poses as a user has them: circles, lines and cubes of tool points.
 
-
 #: poses on a circle
 CIRCLE_COUNT = 36
 #: points on a line

@@ -197,7 +197,6 @@ def _failure(error: BaseException, name: str, location: Location) -> InputError:
 # before, in the user's state folder. Or it lies in a folder that the user trusts: in his
 # settings, or in the environment variable `OED_TRUSTED_FOLDERS`.
 
-
 APP = "pkm-oed"
 #: trusted folders, separated as in PATH
 VARIABLE = "OED_TRUSTED_FOLDERS"

@@ -19,7 +19,6 @@ MODULES = {6: "genhexkins", 3: "tripodkins"}
 #: m; ends and lengths that differ less between two poses do not move
 MOTION_TOLERANCE = 1e-9
 
-
 Write = Callable[[Compensation], Texts]
 Joints = Callable[[Texts, Compensation], Array]
 #: what the modules can take
@@ -53,7 +52,6 @@ def struts_of(kinematics: Kinematics, parameters: Array) -> Struts:
 
 
 def _fixed_struts(kinematics: Kinematics, parameters: Array) -> Struts | None:
-    """The struts; None where they are not between fixed points."""
     machine = kinematics.machine
     if machine.struts is None or len(machine.joints) not in MODULES:
         return None

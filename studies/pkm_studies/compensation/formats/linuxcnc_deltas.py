@@ -162,7 +162,6 @@ def _setting(module: DeltaModule, vector: Array) -> DeltaSetting:
 
 
 def _start(module: DeltaModule, content: Compensation, values: Array) -> Array:
-    """Means of the limbs' numbers."""
     machine = content.machine
 
     def mean(stem: str, end: str = "") -> float:

@@ -145,7 +145,6 @@ def _parallelograms(limbs: list[DrawnLimb], location: Location) -> list[DrawnLim
 
 
 def _platform(tree: BodyTree, location: Location) -> str:
-    """The body that all loops share."""
     shared = set.intersection(*({loop.first, loop.second} for loop in tree.loops))
     if len(shared) != 1 or not 2 <= len(tree.loops) <= MAX_LOOPS:
         raise location.error(

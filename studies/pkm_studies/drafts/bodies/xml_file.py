@@ -97,7 +97,6 @@ def read_direction(text: str, count: int, location: Location, remedy: str) -> Ar
 
 # Reads URDF, and the table of loops that close it, as `oed compensate --to urdf` writes.
 
-
 URDF_JOINTS = {
     "revolute": HINGE,
     "continuous": HINGE,
@@ -136,7 +135,6 @@ def read_urdf(path: Path, loops: Path | None) -> BodyTree:
 
 
 def _body(element: ET.Element, location: Location) -> Body:
-    """The link behind a joint."""
     name, kind = element.get("name", ""), element.get("type", "")
     ends = [element.find(side) for side in ("parent", "child")]
     if None in ends or element.find("mimic") is not None:
@@ -211,7 +209,6 @@ def _loops(path: Path, bodies: dict[str, Body]) -> tuple[BodyLoop, ...]:
 
 
 # Reads MJCF: bodies, joints and `equality/connect`, as MuJoCo's XML reference states.
-
 
 #: sections and elements of bodies that say nothing of the geometry
 APART = (

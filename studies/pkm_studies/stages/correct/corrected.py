@@ -173,7 +173,6 @@ def effect_tables(
 
 # Reports parameters and effects estimated together: the section `corrected`.
 
-
 #: what a controller must know, by the covariate that an effect needs
 KNOWN = {
     "direction": "the direction of travel of each joint is known",
@@ -290,7 +289,6 @@ def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSe
 def _predicted(
     measurement: Measurement, accuracy: CorrectedAccuracy
 ) -> PredictionSection:
-    """The predicted accuracy with its budget."""
     compensated, budget = accuracy.compensated, accuracy.budget
     section = accuracy_section(measurement.kinematics, compensated, "corrected", budget)
     lines = budget_section(measurement.machine, compensated, budget)
@@ -308,7 +306,6 @@ def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
 
 
 def _coefficients(corrected: CorrectedEstimate) -> Iterator[tuple[str, EffectEstimate]]:
-    """Each coefficient in a unit that a person reads."""
     records = coefficient_records(corrected)
     names, scales = corrected.coefficient_names, corrected.scales
     for name, c, scale in zip(names, records, scales, strict=True):
@@ -355,9 +352,6 @@ def _parameters_only(
     }
 
 
-# -- conditions ------------------------------------------------------------------------
-
-
 def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str]:
     """One sentence for each condition."""
     moving = [f.effect.name for f in corrected.forms if corrected.moves_machine(f)]
@@ -382,7 +376,6 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
 
 
 def _effect_conditions(effect: Effect, coefficients: Sequence[str]) -> list[str]:
-    """Conditions of one effect of the machine, which is not named."""
     sentences = []
     for need in effect.needs:
         covariate = need.partition(":")[0].strip()
@@ -407,7 +400,6 @@ def _warmth_text(coefficients: Sequence[str]) -> str:
 
 
 def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
-    """What the diagnosis could not decide."""
     sentences = []
     used = {form.effect.name for form in corrected.forms}
     for group in gap.confusable:

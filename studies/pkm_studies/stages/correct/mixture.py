@@ -192,7 +192,6 @@ def _add_accuracy(
     use: UseOfMachine,
     seed: Sequence[int],
 ) -> MixtureSection:
-    """The section with what all answers expect of each compensation."""
     machine = belief.measurement.machine
     count = len(machine.parameters)
     # states other than those that the candidates are judged in
@@ -260,14 +259,12 @@ def add_bound(gap: GapSection) -> GapSection:
 
 
 def _free(mixture: AnswerMixture) -> Index:
-    """Numbers of the parameters that are not fixed."""
     return np.flatnonzero(np.diag(mixture.covariance) > 0.0)
 
 
 def _parameters(
     measurement: Measurement, mixture: AnswerMixture
 ) -> dict[str, MixedParameter]:
-    """Each parameter that is not fixed, in its display unit."""
     low, high = mixture.quantiles(INTERVAL)
     sd = np.sqrt(np.diag(mixture.covariance))
     variances = np.array([np.diag(a.covariance) for a in mixture.answers])
@@ -293,9 +290,6 @@ def _covariance(measurement: Measurement, mixture: AnswerMixture) -> list[list[f
     factor = np.array([units.factor(name) for name in names])
     covariance = mixture.covariance[np.ix_(free, free)] / np.outer(factor, factor)
     return [[float(value) for value in row] for row in covariance]
-
-
-# -- words -----------------------------------------------------------------------------
 
 
 def mixture_sentences(section: MixtureSection) -> list[str]:

@@ -103,7 +103,6 @@ def check_reference(resolved: ResolvedStudy) -> None:
 def _joined_plan(
     setups: Sequence[str], retained: Sequence[Series], new: Mapping[str, Series]
 ) -> tuple[Series, ...]:
-    """Retained and new readings, set-up by set-up."""
     plan: list[Series] = []
     for name in setups:
         plan += [s for s in retained if s.setup == name]

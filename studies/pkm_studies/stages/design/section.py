@@ -208,7 +208,6 @@ def design_section(
 
 
 def _effects(chosen: ChosenDesign) -> AllowedEffects | None:
-    """The effects of the design, with what else to record."""
     allowed = chosen.effects
     if allowed is None:
         return None
@@ -387,7 +386,6 @@ def _index(assessment: Assessment, name: str) -> float:
 
 
 def _readings(assessment: Assessment, series: Series) -> int:
-    """Number of readings."""
     return len(series)
 
 
@@ -448,7 +446,6 @@ def select_design(state: RunState) -> RunState:
 
 
 def _moved_setups(polish: PolishSummary | None) -> list[str]:
-    """A warning for each set-up that polishing moved."""
     warnings = []
     for name, settings in (polish.setups if polish else {}).items():
         values = ", ".join(f"{key} = {value:.6g}" for key, value in settings.items())

@@ -337,7 +337,6 @@ def _commands(
 def _parameters(
     measurement: Measurement, estimate: Estimate, truth: Array | None
 ) -> dict[str, ParameterEstimate]:
-    """Each parameter that is not fixed, in its display unit."""
     parameters = {}
     for k, p in enumerate(measurement.parameters):
         if estimate.prior_sd[k] == 0.0:
@@ -371,9 +370,6 @@ def _how_well(shrinkage: float) -> str:
     return "weak" if shrinkage <= Estimate.AT_PRIOR else "prior"
 
 
-# -- combinations ----------------------------------------------------------------------
-
-
 def combination_estimates(
     measurement: Measurement, estimate: Estimate, assessment: Assessment
 ) -> list[CombinationEstimate]:
@@ -401,7 +397,6 @@ def combination_estimates(
 
 
 # Reports the sampled posterior: the section `posterior`.
-
 
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500
@@ -655,7 +650,6 @@ def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
 
 
 def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:
-    """The section with the estimated noise."""
     section = with_noise(state.goodness, estimate, state.measurement.setups)
     if not state.study.noise.assumed:
         return section

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # Lays out the residuals of a diagnosis run by run, and over the workspace.
 
-
 #: largest spread of a circle's radii, as a share of their mean
 MAX_SPREAD = 0.1
 #: largest height of a line, as a share of its length

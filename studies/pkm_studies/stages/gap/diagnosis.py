@@ -133,7 +133,6 @@ def check_coefficients(
 def _priors(
     acting: ActingEffect, states: Sequence[State]
 ) -> dict[str, CoefficientPrior]:
-    """The prior of each coefficient of an effect, by name."""
     priors = {}
     for state in states:
         for column in acting.effect.columns(state, **acting.constants):
@@ -343,7 +342,6 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
 
 
 def _closure(closure: ClosureRecord) -> ClosureRecord:
-    """The closure, with None for what is not finite."""
     numbers = msgspec.structs.asdict(closure).items()
     finite = {n: finite_or_none(v) for n, v in numbers if isinstance(v, float)}
     return replace(closure, **finite)
@@ -567,9 +565,6 @@ def _fine_units(measurement: Measurement) -> dict[str, str]:
     setups = measurement.setups.values()
     channels = [c for setup in setups for c in setup.instrument.channels]
     return {c.name: units.FINE[c.unit] for c in channels}
-
-
-# -- sentences -------------------------------------------------------------------------
 
 
 def detectability_sentences(section: GapBeforeSection) -> list[str]:

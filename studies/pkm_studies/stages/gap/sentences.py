@@ -65,7 +65,6 @@ def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
 
 # States in sentences which coefficients are far beyond their expected sizes.
 
-
 #: coefficient in expected sizes beyond which it is implausible: a normal one of that
 #: spread is there once in two million
 MAX_SPREADS = 5.0
@@ -105,7 +104,6 @@ def _sentence(c: CoefficientRecord, ratio: float, check: str) -> str:
 
 
 def _quantity(value: float, unit: str) -> str:
-    """A coefficient in a unit that a person reads."""
     name, factor = units.coefficient_unit(unit)
     amount = value / factor
     if name == "ppm" and abs(amount) >= units.PPM_A_PERCENT:
@@ -161,7 +159,6 @@ def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
 
 
 def _same(record: PlaceRecord, other: PlaceRecord) -> bool:
-    """Whether two places have the same readings."""
     return record.block == other.same_as or record.same_as == other.block
 
 
@@ -416,9 +413,6 @@ def add_sentences(gap: GapSection) -> GapSection:
         *_untested(gap),
     ]
     return msgspec.structs.replace(gap, words=findings, next=_next_steps(gap))
-
-
-# -- cause -----------------------------------------------------------------------------
 
 
 def _verdict(gap: GapSection) -> list[str]:

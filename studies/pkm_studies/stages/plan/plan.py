@@ -95,7 +95,6 @@ def _effect(plan: StagePlan, change: str) -> str:
 
 
 def _half_noise(option: Option) -> Option:
-    """The option with half the noise."""
     candidates = option.candidates
     finer = dataclasses.replace(candidates, blocks=2.0 * candidates.blocks)
     return dataclasses.replace(option, candidates=finer)
@@ -269,7 +268,6 @@ def compare_without_effects(
 def _recording(
     task: PlanTask, effects: PlannedEffects, best: StagePlan, outcome: PlanOutcome
 ) -> result.RecordingSection | None:
-    """What else to record beside the readings of the plan."""
     resolved, request = task.resolved, task.request
     measurement = outcome.measurement
     free = int(measurement.free[: len(measurement.machine.parameters)].sum())
@@ -625,7 +623,6 @@ def bound_sentences(section: result.PlanSection | None) -> list[str]:
 
 # The plan as a section of the result: one record a stage, value, bound and front.
 
-
 #: posterior over prior standard deviation from which a parameter counts as unidentified
 MAX_SD_RATIO = 0.95
 
@@ -770,7 +767,6 @@ def _is_length(stage: PlanStage) -> Array:
 
 
 def _free_parameters(stage: PlanStage) -> list[int]:
-    """Positions of the machine's free parameters."""
     measurement = stage.option.measurement
     machine_parameters = len(measurement.machine.parameters)
     return [int(k) for k in np.flatnonzero(measurement.free[:machine_parameters])]

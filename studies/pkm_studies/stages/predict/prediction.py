@@ -191,7 +191,6 @@ def spread_record(spread: Spread, unit: str) -> SpreadRecord:
 
 # Reports the uncertainty budget, and what to improve first: `prediction.budget`.
 
-
 #: largest usual size of an effect that the model lacks, in expected sizes
 FAR = EFFECT_SIZES.usual[-1]
 
@@ -454,9 +453,6 @@ def _channel_kind(measurement: Measurement, name: str) -> tuple[str, str]:
     return measurement.setups[setup].instrument.name, channel
 
 
-# -- verdict ---------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class HeldOutComparison:
     """Readings of one channel against a fit and against the nominal numbers, SI.
@@ -544,7 +540,6 @@ def _rms(values: Array) -> float:
 
 
 def _mean_square(values: Array) -> Array:
-    """Mean square over the last axis."""
     return np.asarray(np.mean(values**2, axis=-1))
 
 
