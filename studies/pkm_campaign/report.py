@@ -181,13 +181,6 @@ Rows = list[dict[str, Any]]
 MAX_FIGURE_COLUMNS = 6
 
 
-def function_sentences(rows: Rows) -> list[str]:
-    """How many cases there are, and how many have no figures."""
-    failed = sum(int(row["failed"]) for row in rows)
-    count = sum(int(row["cases"]) for row in rows)
-    return [f"{count} cases in {len(rows)} combinations; {failed} failed."]
-
-
 def function_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
     """Tables of the summary; wide ones in parts."""
     names = [
@@ -251,7 +244,9 @@ def sentences(campaign: Campaign, summary: pd.DataFrame) -> list[str]:
     """What a summary says, the most important first."""
     rows = _rows(summary)
     if campaign.varied is None:
-        return function_sentences(rows)
+        failed = sum(int(row["failed"]) for row in rows)
+        count = sum(int(row["cases"]) for row in rows)
+        return [f"{count} cases in {len(rows)} combinations; {failed} failed."]
     return machine_sentences(campaign, rows)
 
 

@@ -138,7 +138,9 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
 
     Raises InputError that names file, field, value and remedy.
     """
-    path = _shipped_or(path)
+    file = shipped.folder() / f"{path.name}{SUFFIX}"
+    is_name = path.name == str(path) and not path.suffix
+    path = file if is_name and not path.exists() and file.is_file() else path
     location = Location(str(path))
     text = files.read_text(path, limit=MAX_BYTES, what="campaign file")
     table = tables_of(text, location)
@@ -153,13 +155,6 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     campaign = Campaign(**fields, path=path, text=text, varied=study, consent=consent)
     _check_settings(campaign)
     return campaign
-
-
-def _shipped_or(path: Path) -> Path:
-    """A file as named; the shipped campaign of this name where there is none."""
-    file = shipped.folder() / f"{path.name}{SUFFIX}"
-    is_name = path.name == str(path) and not path.suffix
-    return file if is_name and not path.exists() and file.is_file() else path
 
 
 def _is_of_study(tables: CampaignFile, location: Location) -> bool:

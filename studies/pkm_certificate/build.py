@@ -88,7 +88,7 @@ def certificate(
         poses=promised.promise.workspace or len(promised.command),
         reference=promised.reference,
         predicted=list(_predicted(result, promised)),
-        verified_poses=_measured_poses(result),
+        verified_poses=0 if result.acceptance is None else len(result.acceptance.poses),
         verified=list(_verified(result)),
         conformity=list(_conformities(result, section, promised, tolerance, location)),
         conditions=conditions(result),
@@ -171,10 +171,6 @@ def _predicted(
             p95=s.p95 * scale,
             interval=None if ends is None else (ends[0] * scale, ends[1] * scale),
         )
-
-
-def _measured_poses(result: StudyResult) -> int:
-    return 0 if result.acceptance is None else len(result.acceptance.poses)
 
 
 def _verified(result: StudyResult) -> Iterator[CertifiedAccuracy]:
@@ -352,11 +348,6 @@ def _parameter_conformity(
     return Conformity(quantity, "identified", largest, unit, probability)
 
 
-def tolerance_place(path: Path) -> Location:
-    """Where tolerances stand."""
-    return Location(str(path), "tolerance")
-
-
 # Writes the certificate of a result's folder: Digital Calibration Certificate and PDF.
 
 XML = "certificate.xml"
@@ -384,7 +375,7 @@ def certify_folder(
     path = folder / head.FILE if head_file is None else head_file
     stated, tolerance = head.read(path)
     study = result_study(result, folder, study_file, consent)
-    file, tolerance_file = str(folder / "result.json"), tolerance_place(path)
+    file, tolerance_file = str(folder / "result.json"), Location(str(path), "tolerance")
     record = certificate(result, study, stated, tolerance, file, tolerance_file)
     written = safe_files.write_own(folder / XML, dcc.write_xml(record))
     return record, (written, write_certificate_page(record, folder))

@@ -322,7 +322,8 @@ class BackgroundCommand:
                 self.state = dataclasses.replace(self.state, stage=lines[-1])
             listen.join()
         code = process.wait()
-        said = [*_lines_after_stages(lines), *(errors if code else ())]
+        last = lines.index(LAST_STAGE) if LAST_STAGE in lines else -1
+        said = [*lines[last + 1 :], *(errors if code else ())]
         self.state = dataclasses.replace(
             self.state, code=code, lines=tuple(said[-MAX_LINES:])
         )
@@ -332,8 +333,3 @@ def _collect(stream: IO[str] | None, lines: list[str]) -> None:
     lines += [
         line.rstrip()[:MAX_LINE_CHARACTERS] for line in stream or () if line.strip()
     ]
-
-
-def _lines_after_stages(lines: list[str]) -> list[str]:
-    last = lines.index(LAST_STAGE) if LAST_STAGE in lines else -1
-    return lines[last + 1 :]

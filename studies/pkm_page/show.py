@@ -375,7 +375,8 @@ def _steps(session: MachineSession, state: SessionState, pose: Pose) -> list[str
         session.measurement.setups[pose.series.setup],
     )
     steps = []
-    before = _last_setup(session, state.content)
+    row = rows.last_reading(state.content, session.measurement)
+    before = None if row is None else state.content.cells(row).get("setup", "").strip()
     if before != setup.name:
         steps += _mounting(measurement, setup, change=before is not None)
     if rows.needs_reference(state.content, pose.series, pose.row, measurement):
@@ -407,11 +408,6 @@ def _mounting(measurement: Measurement, setup: Setup, *, change: bool) -> list[s
             f"Drive to {text.named_quantities(taught, 7)} and seat the cup there."
         )
     return steps
-
-
-def _last_setup(session: MachineSession, content: FileContent) -> str | None:
-    row = rows.last_reading(content, session.measurement)
-    return None if row is None else content.cells(row).get("setup", "").strip()
 
 
 def _last_readings(session: MachineSession, content: FileContent) -> list[LastReading]:

@@ -143,7 +143,9 @@ def _factors(
     if not isinstance(geometry, DeltaGeometry):
         return wanted or geometry.of_heights, []
     lean = lean_of(geometry, probed)
-    has_lean = controller.firmware == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
+    is_many = len(probed) >= LEANING + SPARE_HEIGHTS
+    is_clear = lean is not None and (is_many or lean.probability < LEAN_P_VALUE)
+    has_lean = controller.firmware == WITH_SLOPES and is_clear
     free = wanted or (FACTORS[LEANING] if has_lean else geometry.of_heights)
     is_fitted = set(SLOPES) <= set(free)
     return free, [lean_sentence(lean, len(probed), is_fitted=is_fitted)]
@@ -257,12 +259,6 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
         scatter=scatter,
         probability=float(stats.f.sf(gain, 2, freedom)),
     )
-
-
-def is_to_be_fitted(lean: Lean | None, count: int) -> bool:
-    """Whether a number of heights that tell the lean estimate their noise too, or show it."""
-    is_many = count >= LEANING + SPARE_HEIGHTS
-    return lean is not None and (is_many or lean.probability < LEAN_P_VALUE)
 
 
 def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:

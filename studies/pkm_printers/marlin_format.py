@@ -222,7 +222,8 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     geometry = words(texts[".gcode"], "M665")
     adjust = words(texts[".gcode"], "M666")
     written = np.array([geometry.get(k, [0.0])[0] for k in "ABC"])
-    home = geometry["H"][0] + _home_offset(compensation)
+    firmware = firmware_of(compensation, NAME)
+    home = geometry["H"][0] + _home(firmware, _rules(firmware))[0]
     numbers = DeltaGeometry(
         radius=geometry["R"][0],
         arms=geometry["L"][0] + written + trims(compensation, NAME, "rod_trim_mm"),
@@ -231,11 +232,6 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
         radius_trim=trims(compensation, NAME, "radius_trim_mm"),
     )
     return delta_joints(numbers, compensation)
-
-
-def _home_offset(compensation: Compensation) -> float:
-    firmware = firmware_of(compensation, NAME)
-    return _home(firmware, _rules(firmware))[0]
 
 
 controller = ControllerFormat(

@@ -108,7 +108,11 @@ class RrfImporter:
         account = gcode.account_of(lines, words)
         points: list[ProbedPoint] = []
         notes: list[str] = []
-        if has_heights(order) or not maps or request.mesh != "readings":
+        if (
+            any(HEIGHTS.search(line.text) for line in order.lines)
+            or not maps
+            or request.mesh != "readings"
+        ):
             points, notes = probed_points(order, numbers)
         return delta_session(
             name=request.name,
@@ -349,11 +353,6 @@ class ProbePoint:
         return ProbedPoint(
             self.place.number("X") - x, self.place.number("Y") - y, height, (x, y)
         )
-
-
-def has_heights(order: ExecutionOrder) -> bool:
-    """Whether a log has the answer of G32."""
-    return any(HEIGHTS.search(line.text) for line in order.lines)
 
 
 def probed_points(

@@ -207,7 +207,8 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
             for name, unit in zip(names, units, strict=True)
         ]
     while higher and _repeated(names):
-        labels = _spread(higher.pop(0)[1])
+        last = ""
+        labels = [last := label or last for label in higher.pop(0)[1]]
         names = [f"{w} {name}".strip() for w, name in zip(labels, names, strict=True)]
     repeated = _repeated(names)
     if repeated:
@@ -215,12 +216,6 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
         field = f"line {number}"
         raise InputError(problem, remedy, file=file, field=field, value=repeated[0])
     return tuple(name or str(k) for k, name in enumerate(names, start=1))
-
-
-def _spread(labels: Sequence[str]) -> list[str]:
-    """Labels, each over the empty cells on its right as well: a marker over its X, Y, Z."""
-    last = ""
-    return [last := label or last for label in labels]
 
 
 def _unit(cell: str) -> str:

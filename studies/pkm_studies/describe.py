@@ -288,7 +288,10 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
     kinematics, machine = measurement.kinematics, measurement.machine
     x, q = kinematics.inverse(machine.home_command)
     skeleton = kinematics.skeleton(x[0], q[0], machine.nominal)
-    lines = [Polyline("machine", _points(line)) for line in skeleton]
+    lines = [
+        Polyline("machine", [[float(v) for v in row] for row in line])
+        for line in skeleton
+    ]
     tips: list[list[float]] = []
     owners: list[str] = []
     bars: list[list[list[float]]] = []
@@ -319,10 +322,6 @@ def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None
     location = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
     coordinates = [float(v) for v in location if v is not None]
     return coordinates if len(coordinates) == len(location) else None
-
-
-def _points(line: Array) -> list[list[float]]:
-    return [[float(v) for v in row] for row in line]
 
 
 def _displayed_value(value: float, unit: str) -> float:

@@ -160,7 +160,8 @@ def _component_row(
     single = len(row) == 1
     options: Any = {"location": "bottom" if single else "right"}
     options["pad"] = 0.03 if single else 0.02
-    label = style.label(_error_label(prediction, name))
+    unit = text.unit_symbol(prediction.components[name].after.unit)
+    label = style.label(f"error of {name} [{unit}]")
     bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **options)
     bar.outline.set_visible(False)
     along = "x" if single else "y"
@@ -168,11 +169,6 @@ def _component_row(
         style.log_axis(bar.ax, along)
     else:
         style.few_ticks(getattr(bar.ax, f"{along}axis"), 5)
-
-
-def _error_label(prediction: PredictionSection, name: str) -> str:
-    unit = text.unit_symbol(prediction.components[name].after.unit)
-    return f"error of {name} [{unit}]"
 
 
 def _level_title(layout: MapLayout, level: float) -> str:

@@ -13,7 +13,6 @@ from oed.result import (
     ComponentAccuracy,
     CorrectedSection,
     DesignSection,
-    Drawing,
     EffectEstimate,
     ForecastSection,
     GapSection,
@@ -379,7 +378,8 @@ def measure_blocks(result: StudyResult) -> list[Block]:
     content: list[Block] = [Facts(facts)] if facts else []
     drawing = result.drawing
     if drawing is not None and drawing.lines and drawing.tool_points:
-        caption = _drawing_caption(drawing)
+        points = text.count(len(drawing.tool_points), "reading")
+        caption = f"Machine at home and the tool points of {points}."
         picture = Picture("overview", lambda: draw_overview(drawing), caption)
         content.append(picture)
     return [*content, *_working_order(result)]
@@ -524,11 +524,6 @@ def _working_order(result: StudyResult) -> list[Block]:
     of = "" if len(shown) == len(poses) else f", the first {len(shown)} of them"
     caption = f"{text.count(len(poses), 'reading')} in their order{of}."
     return [Table(columns, transposed(cells), caption)]
-
-
-def _drawing_caption(drawing: Drawing) -> str:
-    points = text.count(len(drawing.tool_points), "reading")
-    return f"Machine at home and the tool points of {points}."
 
 
 # How long the measurement takes, and what it costs.

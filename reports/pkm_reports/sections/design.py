@@ -118,7 +118,12 @@ def draw_how_many(summary: HowManySummary) -> Figure:
 
 def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
     reached = missing.array(summary.accuracy[name])
-    bound = _bound(summary.bound, name, len(sizes))
+    count = len(sizes)
+    bound = (
+        np.full(count, np.nan)
+        if name not in summary.bound or len(summary.bound[name]) != count
+        else missing.array(summary.bound[name])
+    )
     wanted = missing.entry(summary.wanted, name)
     values = np.concatenate([reached, bound, [wanted]])
     values = values[np.isfinite(values) & (values > 0.0)]
@@ -141,15 +146,6 @@ def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None
     ticks = _ticks(sizes)
     style.fixed_ticks(axes, "x", ticks, [text.trimmed(n) for n in ticks])
     axes.set_title(style.label(text.heading(name)))
-
-
-def _bound(
-    bounds: Mapping[str, Sequence[float | None]], name: str, count: int
-) -> Array:
-    """The bound at each number of readings, NaN where it is not known."""
-    if name not in bounds or len(bounds[name]) != count:
-        return np.full(count, np.nan)
-    return missing.array(bounds[name])
 
 
 def _ticks(sizes: Array) -> Sequence[float]:
@@ -647,7 +643,12 @@ def criteria_blocks(design: DesignSection) -> list[Block]:
     ]
     if len(names) <= MANY_CRITERIA:
         return [*content, _one_table(compared, names)]
-    return [*content, _certificates(compared, names), _values(compared, names)]
+    rows = [_certificate_row(entry) for entry in compared]
+    return [
+        *content,
+        Table(_certificate_columns(names), rows, _certificates_text(names)),
+        _values(compared, names),
+    ]
 
 
 def _criteria_introduction(names: Sequence[str]) -> str:
@@ -691,13 +692,6 @@ def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) ->
 
 
 # Plans for several criteria: what the plan for one is worth by the others.
-
-
-def _certificates(
-    compared: Sequence[CriterionComparison], names: Sequence[str]
-) -> Table:
-    rows = [_certificate_row(entry) for entry in compared]
-    return Table(_certificate_columns(names), rows, _certificates_text(names))
 
 
 def _values(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:
@@ -921,7 +915,8 @@ def _error(key: str, rms: float) -> str:
 def _accuracies(design: DesignSection) -> Table:
     """Two rows for each plan: rms errors, and the gain over the reference plan."""
     keys = shown_components(design.plans)
-    reference = _reference(design.plans)
+    has_gains = any(plan.gain for plan in design.plans)
+    reference = design.plans[1] if len(design.plans) > 1 and has_gains else None
     rows, marks = [], []
     for plan, mark in zip(design.plans, _marks(design), strict=True):
         errors = [text.number(missing.entry(plan.predicted, key)) for key in keys]
@@ -948,9 +943,3 @@ def _accuracies_caption(chosen: PlanScore, reference: PlanScore | None) -> str:
     most = text.times(max(chosen.gain.values()))
     gain = least if least == most else f"{least} to {most}"
     return f"{caption} The chosen plan is {gain} as accurate."
-
-
-def _reference(plans: Sequence[PlanScore]) -> PlanScore | None:
-    """The plan that gains refer to: the first after the chosen one."""
-    has_gains = any(plan.gain for plan in plans)
-    return plans[1] if len(plans) > 1 and has_gains else None

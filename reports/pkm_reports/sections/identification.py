@@ -493,7 +493,9 @@ def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> Figur
 
     after  whether the readings were taken after compensation
     """
-    shown = choose_curves(curves)
+    sizes = [_largest(missing.array(curve.measured)) for curve in curves]
+    ranked = sorted(range(len(curves)), key=lambda k: -sizes[k])
+    shown = [curves[k] for k in sorted(ranked[:MAX_CURVES])]
     if not shown:
         return style.empty("No readings along runs are stored in this result.")
     columns = 3 if any(curve.compensated for curve in shown) else 2
@@ -511,13 +513,6 @@ def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> Figur
         _curve_row(row, curve)
     style.legend_below(figure, style.legend_entries(grid[:, :2].ravel()), 3)
     return figure
-
-
-def choose_curves(curves: Sequence[RunCurve]) -> list[RunCurve]:
-    """Up to MOST runs with the largest departures, in the order of the data."""
-    sizes = [_largest(missing.array(curve.measured)) for curve in curves]
-    ranked = sorted(range(len(curves)), key=lambda k: -sizes[k])
-    return [curves[k] for k in sorted(ranked[:MAX_CURVES])]
 
 
 def _largest(values: Array) -> float:

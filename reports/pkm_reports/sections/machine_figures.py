@@ -216,7 +216,8 @@ def draw_machine(drawing: Drawing) -> Figure:
 def scene_of(drawing: Drawing) -> Scene:
     """What a drawing shows, mm; of many readings of a set-up every so-manieth."""
     tips = points_mm(drawing.tool_points)
-    setups = _setup_of_each(drawing, len(tips))
+    count = len(tips)
+    setups = [*drawing.reading_of, *["reading"] * count][:count]
     shown = _evenly(setups)
     # results of older versions list far ends only where there is one: of which reading
     # is then unknown
@@ -253,11 +254,6 @@ def _labelled(
     look: Any = {"fontsize": 6.5, "color": style.BLUE, "bbox": white, "ha": "center"}
     for position, label in zip(places, labels, strict=True):
         axes.text(*position, style.label(label.text, 24), **look)
-
-
-def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
-    """Set-up of each tool point; those that name none are just readings."""
-    return [*drawing.reading_of, *["reading"] * count][:count]
 
 
 def panel(

@@ -896,7 +896,8 @@ def recording_blocks(recording: RecordingSection | None) -> list[Block]:
         TableColumn("Effects that depend on it", wide=True),
         *TableColumn.numbers("error falls by", "worth", *map(_accuracy_heading, keys)),
     ]
-    rows = [_best_recording(recording)]
+    values = _accuracy_values(recording.accuracy, list(recording.accuracy))
+    rows = [["nothing", "", "", "", *values]]
     for choice in recording.choices:
         cells = [choice.words, ", ".join(choice.effects) or "-"]
         cells += [text.percent(choice.gain), _worth(choice)]
@@ -913,11 +914,6 @@ def recording_blocks(recording: RecordingSection | None) -> list[Block]:
         " same without it; floor: no number does."
     )
     return [Paragraph(sentence), Table(columns, rows, caption)]
-
-
-def _best_recording(recording: RecordingSection) -> list[str]:
-    values = _accuracy_values(recording.accuracy, list(recording.accuracy))
-    return ["nothing", "", "", "", *values]
 
 
 def _noise_floor(recording: RecordingSection) -> list[str]:

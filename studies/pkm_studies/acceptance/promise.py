@@ -88,7 +88,10 @@ class PromisedAccuracy:
         command = _poses(used)
         maps = ErrorMaps.of(kinematics, command, reference)
         covariance, tolerance = covariances(machine, section)
-        varying = _varying(maps, covariance)
+        variance = np.einsum(
+            "mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True
+        )
+        varying = np.flatnonzero(variance > 0.0).tolist()
         driven = [k for k in varying if machine.components[k].compensatable]
         uncertainty_by_name = _instrument_uncertainty(result, machine, reference)
         uncertainty_by_name |= uncertainty
@@ -262,11 +265,6 @@ def covariances(
     prior = [section.parameters[names[k]].prior_sd for k in rows]
     tolerance[indices, indices] = (np.array(prior) * np.array(factors)) ** 2
     return covariance, tolerance
-
-
-def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
-    variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
-    return np.flatnonzero(variance > 0.0).tolist()
 
 
 def promised_rms(

@@ -58,7 +58,8 @@ class VariedStudy:
 
         Where the data that it reads is absent, the test is skipped.
         """
-        folder = self._folder / _digest(self.study)
+        content = f"{self.study.path.resolve()}\n{self.study.text}".encode()
+        folder = self._folder / hashlib.sha256(content).hexdigest()[:24]
         try:
             if not folder.is_dir():
                 _run(self.study, folder)
@@ -156,7 +157,8 @@ def _parameters(
 ) -> Iterable[Any]:
     """The combinations of one base. Raises UsageError."""
     try:
-        study = _base(base, folder)
+        file = folder / base
+        study = Study.load(file if file.is_file() else shipped.study_path(Path(base)))
         for setting in combinations(values):
             varied = study.vary_setting(setting, Location(f"@{MARK}", "vary"))
             names = [f"{k}={_short(v)}" for k, v in setting.items()]
@@ -167,12 +169,6 @@ def _parameters(
             yield pytest.param(combination, id="-".join(names), marks=marks)
     except InputError as error:
         raise pytest.UsageError(str(error)) from None
-
-
-def _base(base: str | Path, folder: Path) -> Study:
-    """A study's file, relative to that of the test, or a shipped study's name."""
-    file = folder / base
-    return Study.load(file if file.is_file() else shipped.study_path(Path(base)))
 
 
 def _short(value: Any) -> str:
@@ -194,11 +190,6 @@ def shared_folder(factory: pytest.TempPathFactory) -> Path:
     folder = base / "studies"
     folder.mkdir(exist_ok=True)
     return folder
-
-
-def _digest(study: Study) -> str:
-    content = f"{study.path.resolve()}\n{study.text}".encode()
-    return hashlib.sha256(content).hexdigest()[:24]
 
 
 def _run(study: Study, folder: Path) -> None:

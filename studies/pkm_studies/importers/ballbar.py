@@ -159,11 +159,6 @@ def traces(
     return runs
 
 
-def run_numbers(table: CsvTable, columns: dict[str, str], circle: CircleFacts) -> range:
-    """Numbers of all runs of a file, from 1."""
-    return range(1, 1 + len(_runs(_whole(table, columns, circle).angle)))
-
-
 def _whole(table: CsvTable, columns: dict[str, str], circle: CircleFacts) -> BarTrace:
     """All points of a file, run after run. Raises InputError."""
     values: dict[str, Array] = {}
@@ -582,7 +577,7 @@ def _check_all_taken(
         if not taken[table.file]:
             remedy = "name it in files of a circle, or leave the file out"
             raise location.error(f"{name} belongs to no circle", remedy)
-        numbers = run_numbers(table, columns, facts)
+        numbers = range(1, 1 + len(_runs(_whole(table, columns, facts).angle)))
         for number in sorted(set(numbers) - taken[table.file]):
             raise location.error(
                 f"run {number} of {name} belongs to no circle",

@@ -58,7 +58,8 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
         if entry.name not in by_name:
             by_name[entry.name] = catalogue.effect(entry.name, study.origin, location)
     for field in study.effects:
-        name = _effect_of(field, by_name)
+        matching = [name for name in by_name if field.startswith(f"{name}_")]
+        name = max(matching, key=len, default=None)
         field_location = location.key(field)
         if name is None:
             remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in by_name.items()])
@@ -94,12 +95,6 @@ def _drive_values(drive: DriveTable) -> tuple[float, ...]:
         return () if drive.lead_mm is None else (drive.lead_mm * units.MM,)
     stages = drive.stages if drive.ratio is None else [drive.ratio]
     return tuple(itertools.accumulate([1.0, *stages], operator.mul)) if stages else ()
-
-
-def _effect_of(field: str, allowed: Iterable[str]) -> str | None:
-    """The longest name of an effect that begins a field."""
-    matching = [name for name in allowed if field.startswith(f"{name}_")]
-    return max(matching, key=len, default=None)
 
 
 def _names(effect: Effect) -> list[str]:
@@ -275,7 +270,11 @@ class GapRequest:
         for s in series:
             setup = measurement.setups[s.setup]
             if s.setup != mounted:
-                clock += _mounting_time(setup, table)
+                clock += (
+                    setup.instrument.cost.setup
+                    if table.setup_min is None
+                    else table.setup_min * MINUTE
+                )
                 mounted = s.setup
             step = _pose_time(setup, table)
             protocol = setup.protocol
@@ -422,12 +421,6 @@ MINUTE = units.factor("min")
 #: m/s in a mm/min
 FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
 COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
-
-
-def _mounting_time(setup: Setup, table: ConditionsTable) -> float:
-    if table.setup_min is None:
-        return setup.instrument.cost.setup
-    return table.setup_min * MINUTE
 
 
 def _pose_time(setup: Setup, table: ConditionsTable) -> float:

@@ -280,10 +280,11 @@ class Adviser:
         series = state.readings.series
         advice = self._advise(state.measurement, series, estimate, effects, skipped)
         checked = () if state.checked is None else state.checked.findings
+        section = estimate_section(state.measurement, series, estimate, None)
         return dataclasses.replace(
             advice,
             findings=tuple(finding.sentence for finding in checked),
-            objections=_objections(state, series, estimate),
+            objections=tuple(trust.section_objections(state.result.goodness, section)),
         )
 
     def advise_after(
@@ -532,14 +533,6 @@ def _fit(
         if len(stages) == 1:
             raise
         return identify(measurement, series, y, max_iterations=most, noise=noise)
-
-
-def _objections(
-    state: Measured, series: Sequence[Series], estimate: Estimate
-) -> tuple[str, ...]:
-    """The verdict on the fit of the readings so far."""
-    section = estimate_section(state.measurement, series, estimate, None)
-    return tuple(trust.section_objections(state.result.goodness, section))
 
 
 # The advice at the machine, and its sentences: what is known, what to read, when to stop.
@@ -796,7 +789,9 @@ class SkippedPose(NamedTuple):
         """Whether a row of a known set-up has no reading, and a remark that says skipped."""
         setup = measurement.setups.get(cells.get("setup", "").strip())
         remarks = [cell for name, cell in cells.items() if is_remark(name)]
-        if setup is None or not any(_says_skipped(remark) for remark in remarks):
+        if setup is None or not any(
+            remark.strip().casefold().startswith(SKIPPED) for remark in remarks
+        ):
             return False
         read = {c.name for c in setup.instrument.channels}
         if setup.instrument.implied is not None:
@@ -832,7 +827,9 @@ def _is_at_any(
 ) -> Mask:
     """Mask (n,) of the readings of a series at a skipped pose."""
     coordinates = measurement.machine.workspace(measurement.setups[series.setup].tool)
-    near = WRITTEN_STEP * np.array([_factor(c.name, c.unit) for c in coordinates])
+    near = WRITTEN_STEP * np.array(
+        [ReadingsColumn.of(c.name, c.unit).factor for c in coordinates]
+    )
     commands = series.reading_commands()
     mask = np.zeros(len(series), dtype=bool)
     for setup, pose in skipped:
@@ -856,11 +853,3 @@ def _pose(cells: Mapping[str, str], measurement: Measurement) -> Array | None:
             return None
         values.append(number * ReadingsColumn.parse(name).factor)
     return np.array(values)
-
-
-def _factor(name: str, unit: str) -> float:
-    return ReadingsColumn.of(name, unit).factor
-
-
-def _says_skipped(remark: str) -> bool:
-    return remark.strip().casefold().startswith(SKIPPED)

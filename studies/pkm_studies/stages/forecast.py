@@ -1,7 +1,7 @@
 """Forecast compensation: the nodes to read, their fit, its sentences and its files."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -403,12 +403,13 @@ def measured(
     names = list(section.nodes[0])
     components = _add_figures(task, section, figures)
     sentences += _doubtful_sizes(components)
+    pairs = zip(task.kinematics.machine.command, forecast.grid.knots, strict=True)
     filled = replace(
         section,
         components=components,
         readings=len(command),
         table=dict(zip(names, forecast.grid.counts, strict=True)),
-        places=table_places(task.kinematics, forecast.grid.knots),
+        places={column(c.name, c.unit): _shown(k, c.unit).tolist() for c, k in pairs},
         corrections=table_corrections(task.kinematics, forecast.joints),
         whole=bool(correctable.any()),
         sentences=sentences,
@@ -602,14 +603,6 @@ def table_csv(kinematics: Kinematics, command: Array, joints: Array) -> str:
     return commented(_table_comments(kinematics)) + csv_text.of_rows(
         [[*columns], *rows]
     )
-
-
-def table_places(
-    kinematics: Kinematics, knots: Sequence[Array]
-) -> dict[str, list[float]]:
-    """Places of the table's nodes by column of the command."""
-    pairs = zip(kinematics.machine.command, knots, strict=True)
-    return {column(c.name, c.unit): _shown(k, c.unit).tolist() for c, k in pairs}
 
 
 def table_corrections(kinematics: Kinematics, joints: Array) -> dict[str, list[float]]:

@@ -16,7 +16,6 @@ from oed.result import (
     EstimateSection,
     GapBeforeSection,
     GoodnessSection,
-    HeldOutSection,
     IdentifiabilitySection,
     MachineInfo,
     PlanScore,
@@ -164,7 +163,7 @@ def sentences(
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     rounds = [] if machine is None else earlier_sentences(machine)
-    held_out = _held_out(result.held_out)
+    held_out = [f"{section.words}." for section in result.held_out]
     return [
         *alarms,
         *findings,
@@ -333,10 +332,6 @@ def unmodelled_sentence(
         f"{opening}{counted} Most is {worst.effect} of its expected size"
         f" ({worst.expected}), which can be ten times larger or smaller. Remedy: {worst.remedy}."
     )
-
-
-def _held_out(sections: Sequence[HeldOutSection]) -> list[str]:
-    return [f"{section.words}." for section in sections]
 
 
 def _rank(section: IdentifiabilitySection | None) -> list[str]:

@@ -51,7 +51,12 @@ def stages_csv(plan: result.PlanSection) -> str:
     has_times = any(stage.begin_min is not None for stage in plan.stages)
     rows: list[list[object]] = [[*HEADER, *(TIMES if has_times else [])]]
     for number, stage in enumerate(plan.stages, start=1):
-        times = _times(stage) if has_times else []
+        begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
+        times = (
+            [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
+            if has_times
+            else []
+        )
         rows.append([number, *_stage_cells(stage), *times])
     return csv_text.of_rows(rows)
 
@@ -65,11 +70,6 @@ def _stage_cells(stage: result.StageRecord) -> list[object]:
         f"{stage.cost:.1f}",
         f"{stage.kappa:.4g}",
     ]
-
-
-def _times(stage: result.StageRecord) -> list[object]:
-    begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
-    return [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
 
 
 def poses_json(plan: PlanOutcome) -> str:
@@ -109,12 +109,6 @@ def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str,
 #: folder of an unfinished posterior
 UNFINISHED = "posterior.unfinished"
 POSTERIOR = "posterior.nc"
-
-
-def posterior_checkpoint(folder: Path, study: Study, seed: int) -> Checkpoint:
-    """Where a run with this study and seed saves its unfinished posterior."""
-    key = "\n".join([oed.__version__, str(seed), study.text])
-    return Checkpoint(folder / UNFINISHED, key)
 
 
 def write(
@@ -319,12 +313,15 @@ def run_study(
     resumed. Raises InputError for what cannot be done, IdentificationError where a fit
     fails; what was computed before is then written.
     """
-    if _asks_for_forecast_alone(study) and not readings:
+    others = (study.design, study.plan, study.readings)
+    is_forecast_alone = study.forecast is not None and others == (None, None, None)
+    if is_forecast_alone and not readings:
         return forecast_study(study, out, seed=seed, progress=progress)
     state = RunState.start(study, seed, progress or Silent(), readings)
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
-    checkpoint = posterior_checkpoint(out, study, state.seed)
+    key = "\n".join([oed.__version__, str(state.seed), study.text])
+    checkpoint = Checkpoint(out / UNFINISHED, key)
     steps = order.steps_to_readings(state.readings_given)
     state = _take(state.replace(checkpoint=checkpoint), steps, out)
     state = _take(state, order.steps_from_readings(state), out)
@@ -404,11 +401,6 @@ def forecast_study(
     others = [claim for claim in stored.claims if claim.claim not in names]
     result = msgspec.structs.replace(result, claims=[*others, *checked])
     return result_folder.add_files(out, result, state.forecast_files)
-
-
-def _asks_for_forecast_alone(study: Study) -> bool:
-    others = (study.design, study.plan, study.readings)
-    return study.forecast is not None and others == (None, None, None)
 
 
 def simulate_study(

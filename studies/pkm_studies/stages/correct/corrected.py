@@ -27,7 +27,6 @@ from oed.result import (
     EffectEstimate,
     EffectTable,
     GapSection,
-    GoodnessSection,
     Marginal,
     MistakeRecord,
     PredictionSection,
@@ -105,12 +104,6 @@ def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> Gap
             constants={**gap.constants, **constants},
         )
     )
-
-
-def implausible_sizes(corrected: CorrectedEstimate) -> list[str]:
-    """One sentence for each effect with a coefficient far beyond its expected size."""
-    checks = {form.effect.name: form.effect.check for form in corrected.forms}
-    return sentences.implausible_sentences(coefficient_records(corrected), checks)
 
 
 # Reports the tables with which a controller corrects effects: `corrected.tables`.
@@ -425,29 +418,6 @@ def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[st
 # alarm would be untrue of the values that count.
 
 
-def resolves_alarm(
-    corrected: CorrectedSection, findings: Sequence[CheckFinding]
-) -> bool:
-    """Whether the fit with effects is good, and no finding remains that spoils it."""
-    return not corrected.warnings and may_be_resolved(findings)
-
-
-def may_be_resolved(findings: Sequence[CheckFinding]) -> bool:
-    """Whether effects may be behind every finding that spoils the fit."""
-    return all(f.may_be_an_effect for f in findings)
-
-
-def resolved_section(
-    section: GoodnessSection,
-    corrected: CorrectedSection,
-    findings: Sequence[CheckFinding],
-) -> GoodnessSection:
-    """The section with the alarms as they are with the effects in the model."""
-    renamed = resolved_sentences(corrected, findings)
-    sentences = [renamed.get(sentence, sentence) for sentence in section.findings]
-    return msgspec.structs.replace(section, findings=sentences, bad_fit=False)
-
-
 def resolved_sentences(
     corrected: CorrectedSection, findings: Sequence[CheckFinding]
 ) -> dict[str, str]:
@@ -606,7 +576,10 @@ def _add_section(
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
         return _add_true_alarms(state.add_sections(gap=joint), section)
-    state = state.add_warnings(*implausible_sizes(corrected))
+    checks = {form.effect.name: form.effect.check for form in corrected.forms}
+    state = state.add_warnings(
+        *sentences.implausible_sentences(coefficient_records(corrected), checks)
+    )
     return _add_true_alarms(state, section)
 
 
@@ -653,11 +626,17 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     """The state whose alarms hold for the corrected values, where these fit."""
     checked = state.checked
     findings = () if checked is None else checked.findings
-    if not resolves_alarm(section, findings):
+    if section.warnings or not all(f.may_be_an_effect for f in findings):
         return state
     true = {}
     if checked is not None and checked.bad_fit:
-        goodness = resolved_section(state.goodness, section, findings)
+        renamed = resolved_sentences(section, findings)
+        sentences = [
+            renamed.get(sentence, sentence) for sentence in state.goodness.findings
+        ]
+        goodness = msgspec.structs.replace(
+            state.goodness, findings=sentences, bad_fit=False
+        )
         true = resolved_sentences(section, findings)
         state = state.add_sections(goodness=goodness)
     # The fit without effects is not delivered: its own section keeps its warnings.

@@ -12,7 +12,6 @@ import numpy as np
 from oed import units
 from oed.base import Index
 from oed.measurement import Measurement, Series
-from oed.model import Machine
 from oed.poses import ChangeTimes, ReadingOrder
 from oed.result import WorkingOrder
 from pkm_studies.base import Location
@@ -142,7 +141,11 @@ def _order_setup(
     """The readings of one set-up by short joint travel, with thermal references."""
     whole = _joined(measurement, name, parts)
     setup = measurement.setups[name]
-    speeds = _joint_speeds(measurement.machine, table.order)
+    linear = float(units.to_si(table.order.speed_mm_s, "mm"))
+    angular = float(units.to_si(table.order.speed_deg_s, "deg"))
+    speeds = [
+        linear if joint.unit == "m" else angular for joint in measurement.machine.joints
+    ]
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
     order = ReadingOrder.of_readings(
@@ -164,12 +167,6 @@ def _order_setup(
         seconds,
         order.path.exact,
     )
-
-
-def _joint_speeds(machine: Machine, table: OrderTable) -> list[float]:
-    linear = float(units.to_si(table.speed_mm_s, "mm"))
-    angular = float(units.to_si(table.speed_deg_s, "deg"))
-    return [linear if joint.unit == "m" else angular for joint in machine.joints]
 
 
 def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed.base import Array
 from oed.design import CRITERIA, Criterion
 from oed.identifiability import Assessment, Scaling, explain, prior_information
 from oed.measurement import Measurement, Series
@@ -121,7 +120,11 @@ def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
     n = sum(len(x) for x in series)
     logdet = float(np.log(s**2).sum())
     if table.prior:
-        logdet = _gain(judge.information(plan.measurement, series), plan.measurement)
+        prior = prior_information(plan.measurement)
+        logdet = float(
+            np.linalg.slogdet(judge.information(plan.measurement, series))[1]
+            - np.linalg.slogdet(prior)[1]
+        )
     return PlanScore(
         name=plan.name,
         n=n,
@@ -133,12 +136,6 @@ def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
         observability=CRITERIA.observability(s, n),
         predicted=judge.predicted_accuracy(plan.measurement, series),
     )
-
-
-def _gain(total: Array, measurement: Measurement) -> float:
-    """Log determinant of an information (n, n) over that of the prior in it."""
-    prior = prior_information(measurement)
-    return float(np.linalg.slogdet(total)[1] - np.linalg.slogdet(prior)[1])
 
 
 def _compared(

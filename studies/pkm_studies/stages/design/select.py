@@ -476,7 +476,8 @@ def select_design(
         return None
     location = resolved.study.location.key("design")
     expected = allowed_effects(resolved, table, request, rng)
-    planned = planned_names(expected, table)
+    size = chosen_size(table)
+    planned = expected if expected is None or size == 1.0 else expected.of_size(size)
     study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, location)
     field = "compound" if table.compound else "criterion"
@@ -751,14 +752,6 @@ def allowed_effects(
         check_allowed(resolved, table, request),
         rng,
     )
-
-
-def planned_names(
-    expected: PlannedEffects | None, table: DesignTable
-) -> PlannedEffects | None:
-    """The effects at the sizes that a plan is chosen for; themselves at expected sizes."""
-    size = chosen_size(table)
-    return expected if expected is None or size == 1.0 else expected.of_size(size)
 
 
 def chosen_size(table: DesignTable) -> float:

@@ -301,12 +301,6 @@ def estimate_section(
     )
 
 
-def add_held(section: EstimateSection, fixed: list[HeldParameter]) -> EstimateSection:
-    """The section with held parameters that the readings contradict, as warnings."""
-    sentences = [_held_sentence(one) for one in fixed]
-    return replace(section, held=fixed, warnings=[*sentences, *section.warnings])
-
-
 def _held_sentence(one: HeldParameter) -> str:
     names = " and ".join(one.parameters)
     together = " together" if len(one.parameters) > 1 else ""
@@ -437,13 +431,6 @@ COMPARED = {
     "neighbours": "the correlation of neighbours along a run",
     "run_means": "the rms of the runs' mean residuals",
 }
-
-
-def add_checks(
-    section: PosteriorSection, checks: Mapping[str, PredictiveCheckRecord]
-) -> PosteriorSection:
-    """The section with its posterior predictive checks."""
-    return msgspec.structs.replace(section, checks=dict(checks))
 
 
 def contradictions(checks: Mapping[str, PredictiveCheckRecord]) -> list[str]:
@@ -592,7 +579,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
             measurement, readings.series, readings.y, estimate
         )
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
-    section = add_held(section, fixed)
+    sentences = [_held_sentence(one) for one in fixed]
+    section = replace(section, held=fixed, warnings=[*sentences, *section.warnings])
     if state.identifiability is not None:
         verdict = state.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
@@ -699,7 +687,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         draws,
         state.rng(Stream.PREDICTIVE),
     )
-    section = add_checks(section, checks)
+    section = msgspec.structs.replace(section, checks=dict(checks))
     state = state.replace(posterior=draws).add_sections(posterior=section)
     state = state.add_warnings(*contradictions(checks))
     return state.add_warnings(*sampling_warnings(draws, table.ess))

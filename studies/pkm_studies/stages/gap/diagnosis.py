@@ -556,7 +556,14 @@ def detectability_preview(
         chosen, csv = choose_runs(*design, planned, request, rng)
     table = gap.detect(planned, planned.stated_law, request.effects, rng)
     section = GapBeforeSection(table, fine, chosen, [])
-    lines = detectability_sentences(section)
+    lines = (
+        _findings("The planned readings", section.table)
+        if section.chosen is None
+        else [
+            _gain(section.chosen),
+            *_findings("The chosen runs", section.chosen.table),
+        ]
+    )
     return GapPreview(msgspec.structs.replace(section, words=lines), csv)
 
 
@@ -565,13 +572,6 @@ def _fine_units(measurement: Measurement) -> dict[str, str]:
     setups = measurement.setups.values()
     channels = [c for setup in setups for c in setup.instrument.channels]
     return {c.name: units.FINE[c.unit] for c in channels}
-
-
-def detectability_sentences(section: GapBeforeSection) -> list[str]:
-    """The gain of the chosen runs, and what they or the planned readings can find."""
-    if section.chosen is None:
-        return _findings("The planned readings", section.table)
-    return [_gain(section.chosen), *_findings("The chosen runs", section.chosen.table)]
 
 
 def _gain(chosen: ChosenRuns) -> str:

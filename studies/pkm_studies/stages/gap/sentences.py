@@ -304,12 +304,6 @@ def closure_sentences(gap: GapSection) -> list[str]:
     return phrases
 
 
-def may_grow(gap: GapSection) -> bool:
-    """Whether the gap may grow in every way of holding readings out that is known."""
-    lows = [closure.low for closure in gap.closure if closure.low is not None]
-    return bool(lows) and max(lows) < 0.0
-
-
 def unproven_closure(gap: GapSection) -> str:
     """Advice where no held-out reading confirms what is named."""
     harms = [closure.p_worse for closure in gap.closure if closure.p_worse is not None]
@@ -400,10 +394,12 @@ COLUMNS = {
 
 def add_sentences(gap: GapSection) -> GapSection:
     """The diagnosis with its findings and next steps as sentences."""
+    named = [c for c in gap.coefficients if c.effect in gap.selected]
+    checks = {name: note.check for name, note in gap.about.items()}
     findings = [
         *_verdict(gap),
         *_sizes(gap),
-        *_implausible(gap),
+        *implausible_sentences(named, checks),
         *_resemblance(gap),
         *_left_out(gap),
         *second_explanation(gap),
@@ -566,13 +562,6 @@ def _format_size(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 10.0 else f"{value:.1f}"
 
 
-def _implausible(gap: GapSection) -> list[str]:
-    """Coefficients far beyond their expected sizes, of the effects that are named."""
-    named = [c for c in gap.coefficients if c.effect in gap.selected]
-    checks = {name: note.check for name, note in gap.about.items()}
-    return implausible_sentences(named, checks)
-
-
 def _left_out(gap: GapSection) -> list[str]:
     """Effects that fit, and why they are not named."""
     return [
@@ -637,7 +626,8 @@ def _untested(gap: GapSection) -> list[str]:
 def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_plain_text(text, gap.about) for text in gap.next]
-    if gap.selected and may_grow(gap):
+    lows = [closure.low for closure in gap.closure if closure.low is not None]
+    if gap.selected and lows and max(lows) < 0.0:
         steps.insert(0, unproven_closure(gap))
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
     if places:

@@ -133,6 +133,8 @@ def compare_sequence(
     measurement = task.resolved.measurement_with({s.setup for s in readings})
     explained = Assessment.of(measurement, readings)
     singular_values = explained.identifiability.identifiable_singular_values
+    chosen = sum(len(stage.chosen) for stage in sequence.stages)
+    lost = sum((1.0 - stage.probability).sum() for stage in sequence.stages)
     return result.SequenceRecord(
         name=", then ".join(names),
         sequence=task.record(sequence),
@@ -143,7 +145,7 @@ def compare_sequence(
         observability=CRITERIA.observability(
             singular_values, sum(len(s) for s in readings)
         ),
-        lost=_lost_share(sequence),
+        lost=float(lost) / chosen,
         plan=task.record(best),
         gain=_gain(task, sequence, best),
         bound=bound,
@@ -190,13 +192,6 @@ def _best_plan(
             ) from error
     best = min(search.most_accurate, sequence, key=lambda plan: plan.value)
     return best, search.bound.value
-
-
-def _lost_share(plan: StagePlan) -> float:
-    """Expected share of all chosen candidates that are lost."""
-    chosen = sum(len(stage.chosen) for stage in plan.stages)
-    lost = sum((1.0 - stage.probability).sum() for stage in plan.stages)
-    return float(lost) / chosen
 
 
 def _gain(task: PlanTask, sequence: StagePlan, best: StagePlan) -> dict[str, float]:

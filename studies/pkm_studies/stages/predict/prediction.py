@@ -19,7 +19,7 @@ from oed.accuracy import (
     Spread,
     driven_errors,
 )
-from oed.base import Array, Mask
+from oed.base import Array
 from oed.effect_model import EFFECT_SIZES
 from oed.effects import ExpectedEffects, SessionStates
 from oed.estimation import Estimate, fit_machines
@@ -407,19 +407,14 @@ def _rms_in(values: Array, unit: str) -> float:
 
 def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> Array:
     """Q (N, N), which takes the set-up's unknowns out of its readings."""
-    columns = _setup_unknowns(measurement, series.setup)
+    of_setup = np.array([n.startswith(f"{series.setup}.") for n in measurement.names])
+    columns = of_setup & measurement.free
     slope = measurement.jacobian([series], mean)[:, columns]
     noise = measurement.noise([series])
     white = noise.whiten(slope)
     precision = white.T @ white + np.diag(measurement.tolerance[columns] ** -2.0)
     weight = white.T @ noise.whiten(np.eye(len(slope)))
     return np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight)
-
-
-def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:
-    """Free parameters (n,) of one set-up."""
-    of_setup = np.array([n.startswith(f"{setup}.") for n in measurement.names])
-    return of_setup & measurement.free
 
 
 def _noise_draws(
@@ -628,7 +623,11 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         return state
     table, command = request.table, request.command
     if _is_untrusted(state):
-        reason = _withheld(state)
+        reason = (
+            "The predicted accuracy is withheld: it would rest on a bad fit"
+            if not isinstance(state, Fitted) or state.corrected is None
+            else "The fit without effects is bad: no accuracy is predicted from it"
+        )
         return state.add_warnings(reason).withhold_section("prediction", reason)
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
@@ -758,13 +757,6 @@ def _is_untrusted(state: Scheduled) -> bool:
     result = state.result
     fitted = trust.section_objections(result.goodness, result.estimate)
     return state.fit_is_bad or bool(fitted)
-
-
-def _withheld(state: Scheduled) -> str:
-    """Why no accuracy is predicted from the fit without effects."""
-    if not isinstance(state, Fitted) or state.corrected is None:
-        return "The predicted accuracy is withheld: it would rest on a bad fit"
-    return "The fit without effects is bad: no accuracy is predicted from it"
 
 
 def predict_held_out(state: Fitted) -> Fitted:
