@@ -34,7 +34,7 @@ def campaign(
     """Run settings x seeds over cases; again: go on where it was."""
     import os
 
-    from pkm_campaign import load_campaign, report, results, run_cases
+    from pkm_campaign import load_campaign, report, run_cases
     from pkm_studies import commands
 
     loaded = load_campaign(file, Consent.of_call(allow_code=allow_code))
@@ -51,13 +51,13 @@ def campaign(
         )
     for sentence in broken:
         print(f"Warning: {sentence}.")
-    table = results.read_table(loaded, folder)
-    summary = results.summarise(loaded, table)
-    paths = results.write_table(table, summary, folder)
+    table = report.read_table(loaded, folder)
+    summary = report.summarise(loaded, table)
+    paths = report.write_table(table, summary, folder)
     page = report.write_report(loaded, summary, folder)
     for sentence in report.sentences(loaded, summary):
         print(sentence)
-    seconds = results.processor_time(loaded, folder)
+    seconds = report.processor_time(loaded, folder)
     print(f"Processor time of the cases: {seconds:.0f} s.")
     print(f"Report: {', '.join(str(p) for p in page)}")
     print(f"Table: {', '.join(str(p) for p in paths)}")

@@ -11,7 +11,7 @@ import sample
 
 from oed import compensate
 from oed.mechanism import pose_error
-from pkm_campaign import results, runner, tables
+from pkm_campaign import report, runner, tables
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 
@@ -106,7 +106,7 @@ def test_the_realised_error_is_that_of_the_compensated_machine(campaign, tmp_pat
     campaign.write_text(sample.changed(CAMPAIGN, ("seeds = 3", "seeds = 1")), "utf-8")
     loaded = tables.load_campaign(campaign)
     runner.run_cases(loaded, tmp_path / "out", workers=1)
-    row = results.read_table(loaded, tmp_path / "out").iloc[0]
+    row = report.read_table(loaded, tmp_path / "out").iloc[0]
     study = loaded.study_with(loaded.settings()[0])
     design = oed.choose_design(study)
     state = design.state.replace(seed=int(row["seed"]))
@@ -138,7 +138,7 @@ def test_a_summary_counts_failures_and_means(campaign):
             figures |= {"predicted_z_um": 3.0, "realised_z_um": 4.0}
             row = {k: np.nan if failed else v for k, v in figures.items()}
             rows.append({**cells, "seed": seed, "error": "no" if failed else "", **row})
-    summary = results.summarise(loaded, pd.DataFrame(rows))
+    summary = report.summarise(loaded, pd.DataFrame(rows))
     assert len(summary) == 4
     first = summary.iloc[0]
     assert (first["cases"], first["failed"]) == (3, 1)
@@ -340,7 +340,7 @@ def test_processes_and_a_cluster_give_the_same_table(campaign, tmp_path):
         address = cluster.scheduler_address
         runner.run_cases(loaded, tmp_path / "dask", workers=1, scheduler=address)
     one, two, dask = (
-        results.read_table(loaded, tmp_path / name) for name in ("one", "two", "dask")
+        report.read_table(loaded, tmp_path / name) for name in ("one", "two", "dask")
     )
     pd.testing.assert_frame_equal(one, two)
     pd.testing.assert_frame_equal(one, dask)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
         SourceAbsentError,
         check_name,
     )
-    from pkm_studies.base.progress import Progress, Silent
-    from pkm_studies.base.random_streams import Stream
+    from pkm_studies.base.random_streams import Progress, Silent, Stream
 else:
     __getattr__ = door(__name__)

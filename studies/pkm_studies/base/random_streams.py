@@ -1,6 +1,7 @@
-"""Random numbers of a study: one stream for each purpose, all from the study's seed."""
+"""Random numbers of a study, a stream for each purpose; and progress of long work."""
 
 import enum
+from typing import Protocol
 
 import numpy as np
 
@@ -47,3 +48,23 @@ class Stream(enum.IntEnum):
     def rng(self, seed: int) -> np.random.Generator:
         """Random numbers of this stream."""
         return np.random.default_rng(self.key(seed))
+
+
+class Progress(Protocol):
+    """What a pipeline reports: the stage that begins, and the share that is done."""
+
+    def stage(self, name: str) -> None:
+        """A stage begins."""
+
+    def share(self, done: float) -> None:
+        """The share (0..1) of the present stage that is done."""
+
+
+class Silent:
+    """Progress that nobody watches."""
+
+    def stage(self, name: str) -> None:
+        """Ignore the stage."""
+
+    def share(self, done: float) -> None:
+        """Ignore the share."""

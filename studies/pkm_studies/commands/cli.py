@@ -32,7 +32,7 @@ READINGS = {"--readings", "--after"}
 #: entry points `pkm_oed.commands` follow
 FUNCTIONS = {
     "run": ("runs", "run"),
-    "check": ("check", "check"),
+    "check": ("new", "check"),
     "simulate": ("runs", "simulate"),
     "identify": ("runs", "identify"),
     "diagnose": ("runs", "diagnose"),
@@ -42,13 +42,13 @@ FUNCTIONS = {
     "list": ("catalogue", "list_entries"),
     "schema": ("catalogue", "schema"),
     "new": ("new", "new"),
-    "import": ("import_files", "import_files"),
+    "import": ("new", "import_files"),
     "compensate": ("results", "compensate"),
     "forecast": ("runs", "forecast"),
-    "verify": ("verify", "verify"),
+    "verify": ("results", "verify"),
     "adjust": ("results", "adjust"),
     "history": ("results", "history"),
-    "next": ("at_machine", "next_reading"),
+    "next": ("runs", "next_reading"),
 }
 
 #: columns before and between the names and the texts of the help

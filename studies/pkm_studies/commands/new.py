@@ -1,13 +1,16 @@
-"""The subcommand `oed new`: a study to start from."""
+"""Subcommands before anything runs: new, import, check."""
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from pkm_studies import console
 from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.console import BAD_INPUT, DONE, FAILED
+from pkm_studies.plugins import project_plugins
 from pkm_studies.user_code import Consent, Origin
 
 
@@ -97,3 +100,94 @@ def _drafted(
         instrument, others = model.default_instrument(origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
     return write_draft(name, model, instrument, origin, seconds)
+
+
+def import_files(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND", help=f"{', '.join(project_plugins('importers'))}, or MY.py."
+        ),
+    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Its files.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for study and readings.")
+    ],
+    name: Annotated[
+        str | None, typer.Option(help="Name of the study [that of the first file].")
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(
+            help="A machine of `oed list machines`, MY.py, or a study with it."
+        ),
+    ] = None,
+    column_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP.toml",
+            help="Which column is what; kept for next time.",
+        ),
+    ] = None,
+    mesh: Annotated[
+        Literal["hold-out", "readings"],
+        typer.Option(help="Heights of bed meshes are predicted, or fitted as well."),
+    ] = "hold-out",
+    allow_code: AllowCode = False,
+) -> int:
+    """Make a study with readings from files of another program."""
+    from pkm_studies import importers
+
+    path, imported = importers.import_files(
+        kind,
+        paths,
+        out,
+        name=name,
+        machine=machine,
+        column_map=column_map,
+        mesh=mesh,
+        consent=Consent.of_call(allow_code=allow_code),
+    )
+    for statement in imported.statements:
+        print(statement)
+    arguments = ["run", str(path), "--out", str(out / "report")]
+    print(f"Study: {path}; then: oed {shlex.join(arguments)}")
+    return 0
+
+
+def check(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="Studies, readings, and machines of your own (my.py).",
+        ),
+    ],
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            help="Draw the machine of the first file at its home pose: png, svg or pdf.",
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Check studies, and readings against what they predict; run nothing."""
+    from pkm_studies.commands import checks
+
+    permission = Consent.of_call(allow_code=allow_code)
+    code = DONE
+    if picture is not None:
+        print(f"Picture: {checks.draw_machine(paths[0], picture, permission)}")
+    for path, verdict in checks.check(paths, permission):
+        if isinstance(verdict, InputError):
+            console.print_error(str(verdict))
+            code = BAD_INPUT
+            continue
+        print(f"{path}: {verdict.content}")
+        for sentence in [*verdict.findings, *verdict.remarks]:
+            print(f"  {sentence}")
+        if verdict.findings:
+            code = max(code, FAILED)
+    return code

@@ -1,4 +1,4 @@
-"""Subcommands that run the pipeline: run, simulate, identify, diagnose, plan, forecast."""
+"""Subcommands on a study: run, simulate, identify, diagnose, plan, forecast, next."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from pkm_studies.commands.options import (
     Seed,
     StudyPath,
     Verbose,
+    Wanted,
 )
 from pkm_studies.console import DONE, FAILED
 from pkm_studies.user_code import Consent
@@ -277,3 +278,61 @@ def _check_apart(study: Study, folder: Path) -> None:
                     field=f"prior.{key}",
                     value=name,
                 )
+
+
+def next_reading(
+    study: StudyPath,
+    readings: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Readings so far.")
+    ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="A diagnosis: the readings that separate its answers."
+        ),
+    ] = None,
+    wanted: Wanted = "",
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Stay open, and follow the file.")
+    ] = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Advise at the machine: the best next reading, when to stop; the next visit of a diagnosis."""
+    loaded = load(study, allow_code)
+    if after is not None:
+        _check_alone(after, readings, wanted, follow=follow)
+        from pkm_studies.sessions import visit_lines
+
+        print("\n".join(visit_lines(loaded, study, after)))
+        return DONE
+    if readings is None:
+        raise InputError(
+            "there is nothing to advise from",
+            "give --readings FILE.csv, or --after DIR with the folder of a diagnosis",
+            field="--readings",
+        )
+    from pkm_studies.sessions import Adviser
+
+    adviser = Adviser(loaded, wanted)
+    if not follow:
+        advice = adviser.advise(readings)
+        print("\n".join(adviser.advice_sentences(advice)))
+        return FAILED if advice.objections else DONE
+    for lines in adviser.watch(readings):
+        print("\n".join([*lines, ""]), flush=True)
+    return 0
+
+
+def _check_alone(
+    after: Path, readings: Path | None, wanted: str, *, follow: bool
+) -> None:
+    """Raises InputError where options of the next reading go with a diagnosis."""
+    if readings is None and not wanted and not follow:
+        return
+    raise InputError(
+        "a diagnosis has its own readings: --readings, --wanted and --follow are of the"
+        " next single reading",
+        "give --after alone, or leave it out",
+        field="--after",
+        value=str(after),
+    )

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     )
     from pkm_studies.importers.column_map import Model, imported_study
     from pkm_studies.importers.line_times import Stamp, read_tables
-    from pkm_studies.importers.registry import importers
-    from pkm_studies.importers.session import import_files
+    from pkm_studies.importers.session import import_files, importers
 else:
     __getattr__ = door(__name__)

@@ -1,19 +1,24 @@
-"""Runs an importer, and writes the study with its readings into a folder."""
+"""Finds and runs an importer, and writes the study with its readings into a folder."""
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from oed.instrument import Instrument
 from oed.mechanism import AssemblyError
+from oed.text import shorten, suggest
 from pkm_studies import catalogue, files
-from pkm_studies.base import InputError
-from pkm_studies.importers import base, registry
-from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
+from pkm_studies.base import InputError, Location
+from pkm_studies.catalogue import lookup
+from pkm_studies.importers import base
+from pkm_studies.importers.base import ImportedSession, Importer, ImportRequest, MeshUse
+from pkm_studies.plugins import plugins
 from pkm_studies.resolve import readings_comments, resolve, study_machine
 from pkm_studies.study import SUFFIX, Study
 from pkm_studies.tables import MachineTable
-from pkm_studies.user_code import Consent, is_file
+from pkm_studies.user_code import Consent, Origin, is_file
 
 
 def import_files(
@@ -31,7 +36,7 @@ def import_files(
 
     Raises InputError, also where one of the files to write exists already.
     """
-    importer = registry.importer(kind, consent)
+    importer = named_importer(kind, consent)
     stated = {"--machine": machine is not None, "--map": column_map is not None}
     stated["--mesh"] = mesh != "hold-out"
     for option in base.unused_options(importer):
@@ -138,3 +143,59 @@ def _check_new(path: Path) -> None:
             "take another --out or --name, or remove it",
             file=str(path),
         )
+
+
+# The importers by name: entry points `pkm_oed.importers`, those of this project first.
+
+KIND = "importers"
+
+
+def importers() -> dict[str, Importer]:
+    """Every importer by its name; a warning names those that cannot be loaded."""
+    by_name: dict[str, Importer] = {}
+    for entry in plugins(KIND):
+        if entry.name in by_name:
+            continue
+        try:
+            by_name[entry.name] = _load(entry)
+        except InputError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return by_name
+
+
+def named_importer(name: str, consent: Consent) -> Importer:
+    """The importer of this name, or in a user's file; no other one is loaded.
+
+    Raises InputError.
+    """
+    if is_file(name):
+        origin = Origin.command(consent)
+        user_importer: Importer = lookup(name, KIND, Importer, origin, Location("KIND"))
+        return user_importer
+    entries = plugins(KIND)
+    entry = next((entry for entry in entries if entry.name == name), None)
+    if entry is None:
+        remedy = suggest(name, [entry.name for entry in entries], "known")
+        remedy += ", or a file of your own: path/to/file.py"
+        raise InputError("no such kind of file", remedy, field="KIND", value=name)
+    return _load(entry)
+
+
+def _load(entry: EntryPoint) -> Importer:
+    try:
+        loaded = entry.load()
+    except Exception as error:
+        raise InputError(
+            f"loading it failed with {type(error).__name__}: {shorten(str(error), 80)}",
+            "mend or uninstall the package that provides it",
+            field=f"importer {entry.name}",
+            value=entry.value,
+        ) from error
+    if not isinstance(loaded, Importer):
+        raise InputError(
+            "it is no importer",
+            "give it name, about and read(request)",
+            field=f"importer {entry.name}",
+            value=entry.value,
+        )
+    return loaded

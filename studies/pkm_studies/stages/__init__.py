@@ -39,8 +39,11 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.stages.design.select import select_design
-    from pkm_studies.stages.fit.estimate import estimate_section, sample_posterior
-    from pkm_studies.stages.fit.goodness import check_dataset
+    from pkm_studies.stages.fit.estimate import (
+        check_dataset,
+        estimate_section,
+        sample_posterior,
+    )
     from pkm_studies.stages.fit.run_curves import compensated_series, measured_curves
     from pkm_studies.stages.forecast import forecast_sentences
     from pkm_studies.stages.gap.diagnosis import diagnose_always

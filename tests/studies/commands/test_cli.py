@@ -59,7 +59,7 @@ def test_help_imports_nothing_heavy():
 def test_lists_load_nothing_that_computes():
     """In one process: what any of the lists loads stays loaded."""
     heavy = ["pandas", "scipy.spatial", "scipy.sparse", "scipy.optimize", "matplotlib"]
-    heavy += ["oed.result", "pkm_studies.commands.check", "pkm_studies.resolve.machine"]
+    heavy += ["oed.result", "pkm_studies.commands.new", "pkm_studies.resolve.machine"]
     code = (
         "import sys; from pkm_studies.commands import cli;"
         " kinds = ['machines', 'instruments', 'effects', 'studies'];"
