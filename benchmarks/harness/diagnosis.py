@@ -45,7 +45,7 @@ def _bench(study: Path, text: str) -> Bench:
     """Compiled once in a process: many cases have the same study."""
     stated = studies.Study.load(study, Consent.GIVEN)
     resolved = resolve(stated, readings=[])
-    request = GapRequest.of_study(stated, resolved.machine)
+    request = GapRequest.from_study(stated, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     return measurement, request.effects, request.gravity

@@ -26,7 +26,7 @@ from pkm_studies.resolve import GapRequest, resolve
 study_file = study.Study.load(Path(__file__).with_suffix(".study.toml"))
 resolved = resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
-request = GapRequest.of_study(study_file, resolved.machine)
+request = GapRequest.from_study(study_file, resolved.machine)
 with tempfile.TemporaryDirectory() as folder:
     readings, _ = stages.simulate_study(study_file, Path(folder) / "circles.csv")
     data = dataset.load(readings, measurement)

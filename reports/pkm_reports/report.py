@@ -19,6 +19,6 @@ def write_report(
     The PDF is a print of at most some four pages; `full`, it has all that the HTML has.
     Returns the paths. As `Document.write`; raises OSError where that does.
     """
-    return Document.of_result(result).write(
+    return Document.from_result(result).write(
         out, "report", html=html, pdf=pdf, full=full
     )

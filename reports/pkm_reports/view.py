@@ -206,7 +206,7 @@ class PageView:
         )
 
     @classmethod
-    def of_machine(
+    def from_machine(
         cls, lines: Iterable[Array], labels: Iterable[tuple[Sequence[float], str]]
     ) -> PageView:
         """A machine without readings: polylines (n, 3), texts at points (3,), m."""
@@ -215,7 +215,7 @@ class PageView:
         return cls(drawn, named, [], [], [])
 
     @staticmethod
-    def of_result(result: StudyResult) -> PageView | None:
+    def from_result(result: StudyResult) -> PageView | None:
         """The views of a result; None where nothing is drawn, or far too much."""
         drawing = result.drawing
         if drawing is None or not (drawing.lines or drawing.tool_points):

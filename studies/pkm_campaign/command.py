@@ -37,7 +37,7 @@ def campaign(
     from pkm_campaign import load_campaign, report, run_cases
     from pkm_studies import commands
 
-    loaded = load_campaign(file, Consent.of_call(allow_code=allow_code))
+    loaded = load_campaign(file, Consent.from_call(allow_code=allow_code))
     loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
     with commands.progress(quiet=quiet) as progress:

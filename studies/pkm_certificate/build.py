@@ -69,7 +69,7 @@ def certificate(
     Raises InputError for a result that certifies no machine, and for unknown names.
     """
     section = _estimate(result, file)
-    promised = PromisedAccuracy.of_result(result, study, file, {}, {})
+    promised = PromisedAccuracy.from_result(result, study, file, {}, {})
     machine = promised.machine
     names = [name for name, p in section.parameters.items() if _counts(name, p.sd)]
     indices = [machine.index(name) for name in names]

@@ -26,7 +26,7 @@ def certificate(
     from oed.verdict import all_pass
     from pkm_certificate import certify_folder, sentences
 
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     written, paths = certify_folder(
         folder, head_file=head, study_file=study, consent=permission
     )

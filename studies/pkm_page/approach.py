@@ -46,7 +46,7 @@ class Approach:
 
 def effects_of_direction(study: Study, machine: Machine) -> tuple[str, ...]:
     """Effects that a diagnosis of the study tries and that need both directions."""
-    tried = GapRequest.of_study(study, machine).effects
+    tried = GapRequest.from_study(study, machine).effects
     needing = [e for e in tried if BOTH in e.needs]
     return tuple(e.name for e in needing if e.unfit(machine) is None)
 

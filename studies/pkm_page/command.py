@@ -53,7 +53,12 @@ def serve(
     from pkm_page import serve as serve_page
 
     options = PageOptions(
-        readings, wanted, source, pattern, take, Consent.of_call(allow_code=allow_code)
+        readings,
+        wanted,
+        source,
+        pattern,
+        take,
+        Consent.from_call(allow_code=allow_code),
     )
 
     def say(address: str) -> None:

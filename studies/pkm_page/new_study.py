@@ -124,7 +124,7 @@ class StudyForm:
         x, q = kinematics.inverse(machine.home_command)
         skeleton = kinematics.skeleton(x[0], q[0], machine.nominal)
         labels = describe.parameter_labels(kinematics, x[0], q[0])
-        return PageView.of_machine(skeleton, [(one.at, one.text) for one in labels])
+        return PageView.from_machine(skeleton, [(one.at, one.text) for one in labels])
 
     def write(self, form: NewStudy) -> Path:
         """Write the study of a form; its path. Raises FieldError, InputError."""

@@ -249,7 +249,7 @@ class MachineSession:
         try:
             fitted = self._fit(content)
             cells = map(content.cells, range(1, len(content.rows)))
-            skipped = list(SkippedPose.of_rows(cells, self.measurement))
+            skipped = list(SkippedPose.from_rows(cells, self.measurement))
             advice = self.adviser.advise_fitted(fitted, skipped)
             pose = Pose(advice.series, advice.row)
             if repeated and fitted is not None:

@@ -472,7 +472,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
     result = msgspec.structs.replace(
         session.adviser.base.result, drawing=drawing, setups=setups
     )
-    shown = PageView.of_result(result)
+    shown = PageView.from_result(result)
     if shown is None or state.fitted is None or state.pose is None:
         return shown
     return dataclasses.replace(shown, readings=_add_residuals(result, sections, shown))

@@ -34,7 +34,7 @@ from pkm_printers.delta_study import (
 )
 from pkm_printers.repeated import PooledSpread, heights_by_place, pooled
 from pkm_studies.base import InputError
-from pkm_studies.importers import ImportedSession, MeshUse
+from pkm_studies.importers import ImportedSession, ImportRequest
 from pkm_studies.tables import ControllerTable
 
 #: standard deviation of a probed height, the bed's flatness included, um
@@ -63,10 +63,9 @@ MAX_BED_COORDINATE_MM = 1e4
 
 
 def delta_session(
+    request: ImportRequest,
     *,
-    name: str,
     controller: ControllerTable,
-    files: str,
     geometry: PrinterGeometry,
     points: Sequence[ProbedPoint],
     accounts: Sequence[str],
@@ -74,7 +73,6 @@ def delta_session(
     free: tuple[str, ...] | None = None,
     repeated: Sequence[Sequence[float]] = (),
     meshes: Sequence[BedMesh] = (),
-    mesh: MeshUse = "hold-out",
     trigger: float = 0.0,
 ) -> ImportedSession:
     """Study, readings and statements of probed points.
@@ -84,10 +82,11 @@ def delta_session(
     free           parameters that a user wants fitted; None for what the firmware holds and
                    the heights can tell
     repeated       further readings of the probe at one place, in lists by place, mm
-    meshes         further heights of the same bed, for which use; without points, the
-                   first one states where the bed is
+    meshes         further heights of the same bed; without points, the first one states
+                   where the bed is
     trigger        height of the nozzle over the bed at contact, mm; 0 where it drops out
     """
+    files, mesh = ", ".join(path.name for path in request.files), request.mesh
     _check_places([*points, *[point for one in meshes for point in one.points]], files)
     meshes, mesh_notes = distinct(meshes)
     mesh_notes += [one.sentence(mesh) for one in meshes]
@@ -102,7 +101,7 @@ def delta_session(
     notes = [*mesh_notes, about_noise, *about_lean, *about_tilts, *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
-        name=name,
+        name=request.name,
         controller=controller,
         files=files,
         geometry=geometry,

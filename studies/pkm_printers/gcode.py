@@ -147,7 +147,7 @@ def _is_in_time(lines: list[TextLine]) -> _Log:
 
     A line without a time goes with the last one above it. Raises InputError.
     """
-    stamps = {k: s for k, line in enumerate(lines) if (s := Stamp.at_start(line.text))}
+    stamps = {k: s for k, line in enumerate(lines) if (s := Stamp.leading(line.text))}
     starts, times = list(stamps), list(stamps.values())
     between = Stamp.steps(times)
     if not (between < 0.0).any():

@@ -13,18 +13,18 @@ def choose_by_machine(
 ) -> ControllerFormat:
     """The usual format, with others for machines of these names."""
 
-    def of(machine: Machine) -> ControllerFormat:
+    def chosen(machine: Machine) -> ControllerFormat:
         return others.get(machine.name, usual)
 
     def joints(texts: Texts, compensation: Compensation) -> Array:
-        formula = of(compensation.machine).joints
+        formula = chosen(compensation.machine).joints
         assert formula is not None  # formats of firmwares all decide the joints
         return formula(texts, compensation)
 
     return dataclasses.replace(
         usual,
-        write=lambda compensation: of(compensation.machine).write(compensation),
+        write=lambda compensation: chosen(compensation.machine).write(compensation),
         joints=joints,
-        unfit=lambda machine: of(machine).unfit(machine),
-        notes=lambda compensation: of(compensation.machine).notes(compensation),
+        unfit=lambda machine: chosen(machine).unfit(machine),
+        notes=lambda compensation: chosen(compensation.machine).notes(compensation),
     )

@@ -140,7 +140,7 @@ class MarlinImporter:
         ]
         meshes, about_grid = mesh_grids(lines, numbers, probed.offset, points)
         return delta_session(
-            name=request.name,
+            request,
             controller=ControllerTable(
                 firmware="marlin",
                 version=version,
@@ -151,7 +151,6 @@ class MarlinImporter:
                 radius_trim_mm=facts.trims(numbers, "radius_trim_mm"),
                 rod_trim_mm=facts.trims(numbers, "rod_trim_mm"),
             ),
-            files=", ".join(path.name for path in request.files),
             geometry=geometry,
             points=_points_over_bed(points, settings, rules),
             accounts=account.sentences(),
@@ -166,7 +165,6 @@ class MarlinImporter:
             free=facts.factors(lines),
             repeated=repeated_in_log(lines),
             meshes=meshes,
-            mesh=request.mesh,
         )
 
 

@@ -75,7 +75,7 @@ class Contact:
     unsure: TextLine | None = None
 
     @classmethod
-    def at(cls, x: float, y: float, z: float, *, is_probe: bool) -> Contact:
+    def single(cls, x: float, y: float, z: float, *, is_probe: bool) -> Contact:
         """A reading at one place."""
         return cls(x, y, z, np.array([[x, y]]), np.ones(1), is_probe)
 
@@ -84,7 +84,7 @@ class Contact:
         """Whether the height is a mean over other places than its own."""
         return bool(np.abs(self.places - [self.x, self.y]).max() > 0.0)
 
-    def of_nozzle(self, offset: tuple[float, float]) -> Contact:
+    def moved_to_nozzle(self, offset: tuple[float, float]) -> Contact:
         """The same with places of the nozzle, the probe at an offset from it."""
         if not self.is_probe:
             return self
@@ -119,7 +119,7 @@ def mean_contact(
     direction = DIRECTIONS[name]
     x, y = _ring_points(direction, radius)
     if points not in FINENESS or points == min(FINENESS):
-        return Contact.at(x, y, height, is_probe=is_probe)
+        return Contact.single(x, y, height, is_probe=is_probe)
     places, weights = _ring(direction, radius, points, circles)
     return Contact(x, y, height, places, weights, is_probe)
 
@@ -499,7 +499,7 @@ def probing(
         settings = scan.settings(lines[-1], len(lines))
     contacts = [one.contact for one in used]
     offset = _offset(settings, numbers, contacts, notes)
-    of_nozzle = [contact.of_nozzle(offset) for contact in contacts]
+    of_nozzle = [contact.moved_to_nozzle(offset) for contact in contacts]
     return Probing(of_nozzle, settings, notes, offset)
 
 
@@ -531,7 +531,7 @@ class _Scan:
             raise line.error(problem, "correct the line, or remove it from a copy")
         if match:
             x, y, z = (gcode.finite(match[k], line) for k in (1, 2, 3))
-            contact = Contact.at(x, y, z, is_probe=True)
+            contact = Contact.single(x, y, z, is_probe=True)
             self.taken.append(_Taken(contact, self.settings(line, number)))
         if REPORT.search(line.text):
             self._take_change(line)

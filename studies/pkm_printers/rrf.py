@@ -115,9 +115,8 @@ class RrfImporter:
         ):
             points, notes = probed_points(order, numbers)
         return delta_session(
-            name=request.name,
+            request,
             controller=printer.controller,
-            files=", ".join(path.name for path in request.files),
             geometry=printer.geometry,
             points=points,
             accounts=account.sentences(),
@@ -125,7 +124,6 @@ class RrfImporter:
             free=facts.factors(lines, printer.factors),
             repeated=repeated_in_log(lines),
             meshes=[height_map(path, mesh_offset(order, numbers)) for path in maps],
-            mesh=request.mesh,
             trigger=printer.trigger,
         )
 

@@ -83,9 +83,8 @@ class SmoothieImporter:
         x, y = numbers.get("probe_offset_mm", probe)
         home = gcode.optional(lines, "M206").number("Z", 0.0)
         return delta_session(
-            name=request.name,
+            request,
             controller=ControllerTable(firmware="smoothie", home_offset_mm=home),
-            files=", ".join(path.name for path in request.files),
             geometry=_geometry(delta, gcode.optional(lines, "M666"), home),
             points=_points(lines, (x, y)),
             accounts=gcode.account_of(lines, WORDS).sentences(),

@@ -72,7 +72,7 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
             _with_sizes(case.study, Path(folder), factor), folder, allow_code=True
         )
         state = identify(read_readings(study, path)).state
-        request = GapRequest.of_study(study, state.resolved.machine)
+        request = GapRequest.from_study(study, state.resolved.machine)
     readings, estimate = state.readings, state.estimate
     assert readings.covariates is not None
     residuals = assemble(

@@ -209,7 +209,7 @@ class Document:
         return tuple(write_own(out / file, page) for file, page in pages.items())
 
     @staticmethod
-    def of_result(result: StudyResult) -> Document:
+    def from_result(result: StudyResult) -> Document:
         """All text, tables and pictures of a result."""
         content = Content(
             title=result.title or result.study,
@@ -221,7 +221,7 @@ class Document:
             chapters=sections.chapters(result),
             appendix=sections.appendix(result),
         )
-        return Document(content, PageView.of_result(result))
+        return Document(content, PageView.from_result(result))
 
 
 def _page(content: Content, numbering: Numbering) -> Page:

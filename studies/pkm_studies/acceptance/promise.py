@@ -65,7 +65,7 @@ class PromisedAccuracy:
     further: FurtherPromise | None = None
 
     @classmethod
-    def of_result(
+    def from_result(
         cls,
         result: StudyResult,
         study: Study,
@@ -155,7 +155,7 @@ def _poses(used: StudyWorkspace) -> Array:
     """
     if used.reference == "best_fit":
         return used.regular
-    return np.vstack([used.regular, used.between(MAX_POSES_BETWEEN)])
+    return np.vstack([used.regular, used.intermediate_commands(MAX_POSES_BETWEEN)])
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

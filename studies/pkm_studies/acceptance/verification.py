@@ -529,7 +529,7 @@ def plan_folder(
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
-    accuracy = PromisedAccuracy.of_result(
+    accuracy = PromisedAccuracy.from_result(
         result,
         study,
         str(folder / "result.json"),

@@ -49,7 +49,7 @@ def new(
 ) -> int:
     """Write a study to start from: a commented one, or a copy of a shipped one."""
     # The study will name the files: they lie where a study's files may lie.
-    origin = Origin(Path(), Consent.of_call(allow_code=allow_code))
+    origin = Origin(Path(), Consent.from_call(allow_code=allow_code))
     if source is not None:
         path = _copied(name, source, machine, instrument, time)
     else:
@@ -147,7 +147,7 @@ def import_files(
         machine=machine,
         column_map=column_map,
         mesh=mesh,
-        consent=Consent.of_call(allow_code=allow_code),
+        consent=Consent.from_call(allow_code=allow_code),
     )
     for statement in imported.statements:
         print(statement)
@@ -176,7 +176,7 @@ def check(
     """Check studies, and readings against what they predict; run nothing."""
     from pkm_studies.commands import checks
 
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     code = DONE
     if picture is not None:
         print(f"Picture: {checks.draw_machine(paths[0], picture, permission)}")

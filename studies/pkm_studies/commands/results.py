@@ -77,7 +77,7 @@ def history(
     """Show how a machine drifts over its sessions, and when to calibrate again."""
     from pkm_studies.sessions import machine_history
 
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     report = machine_history(folders, limit, study, permission)
     for sentence in report.sentences:
         print(sentence)
@@ -99,7 +99,7 @@ def adjust(
     """Choose what to adjust at the machine, by how much, and what it brings."""
     from pkm_studies.sessions import adjust_folder, adjustment_sentences
 
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     section, paths = adjust_folder(
         folder, wanted=wanted, study_file=study, consent=permission
     )
@@ -157,7 +157,7 @@ def compensate(
         commands=commands,
         firmware=firmware,
         adjusted=adjusted,
-        consent=Consent.of_call(allow_code=allow_code),
+        consent=Consent.from_call(allow_code=allow_code),
     )
     for path in written.paths:
         print(f"Compensation: {path}")
@@ -206,7 +206,7 @@ def verify(
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies import csv_table
 
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     if readings is not None:
         _check_judged(promise, uncertainty, planned)
         if "setup" in csv_table.read(readings).header:

@@ -104,7 +104,7 @@ def identify(
     if study is None:
         from pkm_studies.commands.own_numbers import import_numbers
 
-        permission = Consent.of_call(allow_code=allow_code)
+        permission = Consent.from_call(allow_code=allow_code)
         numbers = numbers or []
         study, taken = import_numbers(machine or "", numbers, readings, out, permission)
         if not quiet:
@@ -244,7 +244,7 @@ def load(path: Path, allow_code: bool) -> Study:
     from pkm_studies import shipped, study
 
     return study.Study.load(
-        shipped.study_path(path), Consent.of_call(allow_code=allow_code)
+        shipped.study_path(path), Consent.from_call(allow_code=allow_code)
     )
 
 

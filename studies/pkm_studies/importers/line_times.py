@@ -32,7 +32,7 @@ class Stamp(NamedTuple):
     is_dated: bool
 
     @classmethod
-    def at_start(cls, text: str) -> Stamp | None:
+    def leading(cls, text: str) -> Stamp | None:
         """The time with which a text begins; None without one."""
         match = TIME.match(text)
         if match is None:
@@ -73,7 +73,7 @@ def read_tables(paths: Sequence[Path]) -> list[CsvTable]:
     for table in tables:
         for name in filter(TIME_NAME.search, table.header):
             cells = [cell for cell in table.cells(name) if cell]
-            stamps = [Stamp.at_start(cell) or _number(cell) for cell in cells]
+            stamps = [Stamp.leading(cell) or _number(cell) for cell in cells]
             between = Stamp.steps([one for one in stamps if one is not None])
             if (between < 0.0).any() and not (between > 0.0).any():
                 raise InputError(

@@ -55,7 +55,7 @@ def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
     >>> study.name
     'planar_step_calibration'
     """
-    permission = Consent.of_call(allow_code=allow_code)
+    permission = Consent.from_call(allow_code=allow_code)
     return Study.load(shipped.study_path(Path(study)), permission)
 
 
@@ -79,7 +79,7 @@ def build_study(
     'rm4'
     """
     return Study.from_tables(
-        tables, Path(folder), Consent.of_call(allow_code=allow_code)
+        tables, Path(folder), Consent.from_call(allow_code=allow_code)
     )
 
 

@@ -270,14 +270,12 @@ class GapRequest:
         for s in series:
             setup = measurement.setups[s.setup]
             if s.setup != mounted:
-                clock += (
-                    setup.instrument.cost.setup
-                    if table.setup_min is None
-                    else table.setup_min * MINUTE
-                )
+                clock += mounting_time(setup, table)
                 mounted = s.setup
-            step = _pose_time(setup, table)
             protocol = setup.protocol
+            # at a pose, all passes are read where their mean is the reading
+            passes = len(protocol.pass_names) if protocol.average else 1
+            step = reading_time(setup, table) * passes
             both_ways = protocol.both_directions and protocol.average
             frame = pd.DataFrame(
                 np.full((len(s), len(COLUMNS)), np.nan), columns=COLUMNS
@@ -303,7 +301,7 @@ class GapRequest:
         return covariates
 
     @classmethod
-    def of_study(cls, study: Study, machine: Machine) -> GapRequest:
+    def from_study(cls, study: Study, machine: Machine) -> GapRequest:
         """What [gap] requests, or its defaults without the table.
 
         Raises InputError for unknown effects and constants, and for gravity of length 0.
@@ -327,11 +325,11 @@ class GapRequest:
 
 
 def stated_request(study: Study, machine: Machine) -> GapRequest | None:
-    """What [gap] requests; None without the table. Raises InputError as `GapRequest.of_study`."""
+    """What [gap] requests; None without the table. Raises InputError as `GapRequest.from_study`."""
     if study.gap is None:
         check_sizes(study, ())
         return None
-    return GapRequest.of_study(study, machine)
+    return GapRequest.from_study(study, machine)
 
 
 def _tried_effects(
@@ -423,18 +421,18 @@ FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
 COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
 
 
-def _pose_time(setup: Setup, table: ConditionsTable) -> float:
-    """Time at one pose, s: all its passes, where their mean is the reading."""
-    protocol = setup.protocol
-    passes = len(protocol.pass_names) if protocol.average else 1
-    return reading_time(setup, table) * passes
-
-
 def reading_time(setup: Setup, table: ConditionsTable) -> float:
     """Time of one reading, s."""
     if table.reading_s is None:
         return setup.instrument.cost.reading
     return table.reading_s
+
+
+def mounting_time(setup: Setup, table: ConditionsTable) -> float:
+    """Time to mount a set-up, s."""
+    if table.setup_min is None:
+        return setup.instrument.cost.setup
+    return table.setup_min * MINUTE
 
 
 def _pass_of(run: str) -> tuple[bool, float]:
@@ -450,95 +448,6 @@ def _value_of_run(stated: float | list[float] | None, number: int) -> float:
     if stated is None:
         return np.nan
     return stated[number % len(stated)] if isinstance(stated, list) else stated
-
-
-# Candidate runs of [gap.design]: each run of the named plans under each condition.
-
-
-def candidate_runs(
-    table: GapDesignTable,
-    plans: Mapping[str, ReferencePlan],
-    measurement: Measurement,
-    timing: ConditionsTable,
-    location: Location,
-) -> tuple[tuple[Run, ...], int]:
-    """Runs of the retained plan, then candidate runs; the number of retained ones.
-
-    Raises InputError for plans that do not exist.
-    """
-    _check_plans(table, plans, location)
-
-    def runs_of_plan(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
-        """Runs of a reference plan under each condition."""
-        prefix = name if len(plans) > 1 else ""
-        runs: list[Run] = []
-        for series in plans[name].series:
-            runs += runs_of(series, prefix, conditions, measurement, timing, location)
-        return runs
-
-    retained: list[Run] = []
-    if table.keep is not None:
-        retained = runs_of_plan(table.keep, table.conditions[:1])
-    free: list[Run] = []
-    for name in table.candidates or plans:
-        if name != table.keep:
-            free += runs_of_plan(name, table.conditions)
-    return (*retained, *free), len(retained)
-
-
-def _check_plans(
-    table: GapDesignTable, plans: Mapping[str, ReferencePlan], location: Location
-) -> None:
-    if not plans:
-        raise location.error(
-            "there are no runs to choose from",
-            "add [[design.reference]] plans with `runs_by`",
-        )
-    for i, name in enumerate(table.candidates):
-        known_name(name, plans, location.key("candidates").item(i), "plan")
-    if table.keep is not None:
-        known_name(table.keep, plans, location.key("keep"), "plan")
-    if table.keep is not None and table.keep in table.candidates:
-        raise location.key("keep").error(
-            "a plan is kept or a candidate, not both", "remove it from one", table.keep
-        )
-
-
-def runs_of(
-    series: Series,
-    plan: str,
-    conditions: Sequence[RunCondition],
-    measurement: Measurement,
-    timing: ConditionsTable,
-    location: Location,
-) -> list[Run]:
-    """Each run of a series under each condition; `plan` starts their names.
-
-    Of the passes of a run, only the first one forward is a candidate.
-    """
-    seconds = reading_time(measurement.setups[series.setup], timing)
-    runs = []
-    for label in dict.fromkeys(str(r) for r in series.run):
-        repeat = PASS_SUFFIX.search(label)
-        if repeat is not None and repeat.groups() != ("forward", "1"):
-            continue
-        rows = np.flatnonzero(series.run == label)
-        command = _commands(series, rows)
-        if np.isnan(command).any():
-            raise location.key("candidates").error(
-                "runs of recorded joints cannot be planned anew", "give commands"
-            )
-        for condition in conditions:
-            parts = [plan, PASS_SUFFIX.sub("", label), *_condition_words(condition)]
-            run = gap.Run(
-                name=", ".join(part for part in parts if part),
-                setup=series.setup,
-                command=command,
-                condition=_condition_si(condition),
-                seconds=seconds * len(rows),
-            )
-            runs.append(run)
-    return runs
 
 
 def _commands(series: Series, rows: np.ndarray) -> Array:
@@ -605,6 +514,129 @@ class GapDesignRequest:
         """Whether it retains the readings of [plan], which are not known yet."""
         return self.rules is None
 
+    @property
+    def needed_rules(self) -> Rules:
+        """The rules of the choice. Raises LookupError while it waits for the plan."""
+        if self.rules is None:
+            raise LookupError("the plan of [plan] is not known")
+        return self.rules
+
+    def plan_runs(
+        self, plans: Mapping[str, ReferencePlan], measurement: Measurement
+    ) -> tuple[list[Run], list[Run]]:
+        """Runs of the retained plan, and candidate runs of the others.
+
+        Raises InputError for plans that do not exist.
+        """
+        table, location = self.table, self.location
+        if not plans:
+            raise location.error(
+                "there are no runs to choose from",
+                "add [[design.reference]] plans with `runs_by`",
+            )
+        for i, name in enumerate(table.candidates):
+            known_name(name, plans, location.key("candidates").item(i), "plan")
+        if table.keep is not None:
+            known_name(table.keep, plans, location.key("keep"), "plan")
+        if table.keep is not None and table.keep in table.candidates:
+            problem = "a plan is kept or a candidate, not both"
+            raise location.key("keep").error(problem, "remove it from one", table.keep)
+
+        def runs(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
+            prefix = name if len(plans) > 1 else ""
+            series = plans[name].series
+            return self._runs(series, prefix, conditions, measurement)
+
+        retained: list[Run] = []
+        if table.keep is not None:
+            retained = runs(table.keep, table.conditions[:1])
+        names = [name for name in table.candidates or plans if name != table.keep]
+        return retained, [run for name in names for run in runs(name, table.conditions)]
+
+    def _runs(
+        self,
+        plan: Sequence[Series],
+        prefix: str,
+        conditions: Sequence[RunCondition],
+        measurement: Measurement,
+    ) -> list[Run]:
+        """Each run of a plan under each condition; the prefix starts their names.
+
+        Of the passes of a run, only the first one forward is a candidate.
+        """
+        runs = []
+        for series, label in ((s, str(r)) for s in plan for r in dict.fromkeys(s.run)):
+            repeat = PASS_SUFFIX.search(label)
+            if repeat is not None and repeat.groups() != ("forward", "1"):
+                continue
+            rows = np.flatnonzero(series.run == label)
+            command = _commands(series, rows)
+            if np.isnan(command).any():
+                raise self.location.key("candidates").error(
+                    "runs of recorded joints cannot be planned anew", "give commands"
+                )
+            seconds = reading_time(measurement.setups[series.setup], self.timing)
+            for condition in conditions:
+                words = _condition_words(condition)
+                parts = [prefix, PASS_SUFFIX.sub("", label), *words]
+                run = gap.Run(
+                    name=", ".join(part for part in parts if part),
+                    setup=series.setup,
+                    command=command,
+                    condition=_condition_si(condition),
+                    seconds=seconds * len(rows),
+                )
+                runs.append(run)
+        return runs
+
+    def filled(
+        self, retained: Sequence[Run], free: Sequence[Run], measurement: Measurement
+    ) -> GapDesignRequest:
+        """The request with its runs and rules. Raises InputError for rules that fail."""
+        runs = (*retained, *free)
+        return dataclasses.replace(
+            self,
+            runs=runs,
+            retained=tuple(range(len(retained))),
+            rules=self._rules(runs, len(retained), measurement),
+        )
+
+    def _rules(
+        self, runs: Sequence[Run], retained: int, measurement: Measurement
+    ) -> Rules:
+        """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
+        table, timing = self.table, self.timing
+        _check_number(table, len(runs) - retained, self.location)
+        timed = [run for run in runs if "time" in run.condition]
+        if timed and len(timed) < len(runs):
+            raise self.location.key("conditions").error(
+                "some runs have a time and some have none",
+                "give start_min to all or none",
+            )
+        cost = np.array([run.seconds for run in runs])
+        budget = None if table.budget_min is None else table.budget_min * MINUTE
+        if timed:
+            # runs at stated times must not overlap, whatever their set-up: mounting has to
+            # fit into the gaps between them
+            return design.Rules.build(
+                size=table.runs,
+                seconds=cost,
+                budget=budget,
+                position=np.array([[run.condition["time"]] for run in runs]),
+                least_distance=float(cost.max()),
+            )
+        setups = list(dict.fromkeys(run.setup for run in runs))
+        owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
+        mounting = [mounting_time(measurement.setups[s], timing) for s in setups]
+        return design.Rules.build(
+            size=table.runs,
+            seconds=cost,
+            budget=budget,
+            setup=owner,
+            mounting=np.array(mounting),
+            mounted=tuple(sorted({int(k) for k in owner[:retained]})),
+        )
+
     def with_plan(
         self, series: Sequence[Series], remaining: float, measurement: Measurement
     ) -> GapDesignRequest:
@@ -615,23 +647,17 @@ class GapDesignRequest:
 
         Raises InputError where no time remains.
         """
-        table, timing, location = self.table, self.timing, self.location
+        table = self.table
         if table.runs is None and table.budget_min is None:
             if remaining < 1.0:
                 problem = "[plan] uses all its time: none remains for runs that separate effects"
                 remedy = "give budget_min, which is taken from the plan's time, or runs"
-                raise location.error(problem, remedy)
+                raise self.location.error(problem, remedy)
             table = msgspec.structs.replace(table, budget_min=remaining / MINUTE)
-        retained: list[Run] = []
-        for s in series:
-            retained += runs_of(
-                s, PLAN, table.conditions[:1], measurement, timing, location
-            )
-        runs = (*retained, *self.runs)
-        rules = _rules(table, runs, len(retained), measurement, timing, location)
-        return dataclasses.replace(
-            self, runs=runs, retained=tuple(range(len(retained))), rules=rules
-        )
+        request = dataclasses.replace(self, table=table)
+        retained = request._runs(series, PLAN, table.conditions[:1], measurement)
+        filled = request.filled(retained, self.runs, measurement)
+        return dataclasses.replace(filled, table=self.table)
 
 
 def gap_design_request(
@@ -659,23 +685,12 @@ def gap_design_request(
         and study.plan is not None
         and bool(study.plan.measurement)
     )
-    keep = None if follows_plan else table.keep
-    runs, count = candidate_runs(
-        msgspec.structs.replace(table, keep=keep), plans, measurement, timing, location
-    )
-    rules = None
+    request = GapDesignRequest(wanted, rivals, (), (), None, location, table, timing)
     if not follows_plan:
-        rules = _rules(table, runs, count, measurement, timing, location)
-    return GapDesignRequest(
-        wanted=wanted,
-        rivals=rivals,
-        runs=runs,
-        retained=tuple(range(count)),
-        rules=rules,
-        location=location,
-        table=table,
-        timing=timing,
-    )
+        return request.filled(*request.plan_runs(plans, measurement), measurement)
+    alone = msgspec.structs.replace(table, keep=None)
+    _, runs = dataclasses.replace(request, table=alone).plan_runs(plans, measurement)
+    return dataclasses.replace(request, runs=tuple(runs))
 
 
 def _effects(
@@ -694,45 +709,6 @@ def _effects(
     return tuple(effects)
 
 
-def _rules(
-    table: GapDesignTable,
-    runs: Sequence[Run],
-    retained: int,
-    measurement: Measurement,
-    timing: ConditionsTable,
-    location: Location,
-) -> Rules:
-    """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
-    _check_number(table, len(runs) - retained, location)
-    timed = [run for run in runs if "time" in run.condition]
-    if timed and len(timed) < len(runs):
-        raise location.key("conditions").error(
-            "some runs have a time and some have none", "give start_min to all or none"
-        )
-    cost = np.array([run.seconds for run in runs])
-    budget = None if table.budget_min is None else table.budget_min * MINUTE
-    if timed:
-        # runs at stated times must not overlap, whatever their set-up: mounting has to
-        # fit into the gaps between them
-        return design.Rules.build(
-            size=table.runs,
-            seconds=cost,
-            budget=budget,
-            position=np.array([[run.condition["time"]] for run in runs]),
-            least_distance=float(cost.max()),
-        )
-    setups = list(dict.fromkeys(run.setup for run in runs))
-    owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-    return design.Rules.build(
-        size=table.runs,
-        seconds=cost,
-        budget=budget,
-        setup=owner,
-        mounting=_mounting_times(setups, measurement, timing),
-        mounted=tuple(sorted({int(k) for k in owner[:retained]})),
-    )
-
-
 def _check_number(table: GapDesignTable, candidates: int, location: Location) -> None:
     if table.runs is None and table.budget_min is None:
         raise location.error(
@@ -744,12 +720,3 @@ def _check_number(table: GapDesignTable, candidates: int, location: Location) ->
             "choose fewer, or give more conditions",
             table.runs,
         )
-
-
-def _mounting_times(
-    setups: Sequence[str], measurement: Measurement, timing: ConditionsTable
-) -> np.ndarray:
-    """Time to mount each set-up, s."""
-    if timing.setup_min is not None:
-        return np.array([timing.setup_min * MINUTE for _ in setups])
-    return np.array([measurement.setups[s].instrument.cost.setup for s in setups])

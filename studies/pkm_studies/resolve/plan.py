@@ -169,7 +169,7 @@ def _effects(
         for measured, field in tables.values()
         for name in measured.mounted
     ]
-    return GapRequest.of_study(study, measurement.machine).planned_effects(
+    return GapRequest.from_study(study, measurement.machine).planned_effects(
         measurement,
         series,
         table.effects,

@@ -224,7 +224,7 @@ class StudyWorkspace:
         pairs = zip(axes, machine.home_command, strict=True)
         return tuple(axis.reaching(float(location)) for axis, location in pairs)
 
-    def between(self, count: int) -> Array:
+    def intermediate_commands(self, count: int) -> Array:
         """At most `count` further commands (m, n_dof), spread evenly between `regular`.
 
         They are within half a diagonal of the grid from one of these, so that they stay in

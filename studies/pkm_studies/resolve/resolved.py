@@ -583,7 +583,7 @@ class ResolvedStudy:
     @property
     def gap_or_default(self) -> GapRequest:
         """What [gap] requests, or its defaults without the table. Raises InputError."""
-        return self.gap or GapRequest.of_study(self.study, self.machine)
+        return self.gap or GapRequest.from_study(self.study, self.machine)
 
     @property
     def diagnosed(self) -> GapRequest:
@@ -596,7 +596,7 @@ class ResolvedStudy:
         named = request.named_effects(names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
 
-    def after_readings(
+    def resume_plan(
         self, table: PlanTable, machine: Machine, done: Iterable[str]
     ) -> tuple[Self, PlanRequest]:
         """The study about a machine as identified, and what [plan] then requests.

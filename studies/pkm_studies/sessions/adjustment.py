@@ -196,7 +196,7 @@ def _section(
     about, total_unit = _total(adjustable, wanted)
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
 
-    def by_component(values: Array) -> dict[str, float]:
+    def component_values(values: Array) -> dict[str, float]:
         pairs = zip(fine.items(), values, strict=True)
         return {name: units.number(value, unit) for (name, unit), value in pairs}
 
@@ -210,8 +210,8 @@ def _section(
         accuracy=[
             AdjustedRecord(
                 units.number(a.total, total_unit),
-                by_component(a.corrected),
-                by_component(a.plain),
+                component_values(a.corrected),
+                component_values(a.plain),
             )
             for a in plan.accuracy
         ],

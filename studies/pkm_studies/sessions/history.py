@@ -343,7 +343,7 @@ def _errors(
     """
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder, study_file, consent)
-    accuracy = PromisedAccuracy.of_result(
+    accuracy = PromisedAccuracy.from_result(
         latest, study, str(folder / "result.json"), {}, {}
     )
     component_limits = component_values(limits, "--limit", accuracy.machine)

@@ -91,7 +91,7 @@ class Outlook:
             columns.append(squares @ np.maximum(spread, 0.0) + other)
         return np.asarray(np.sqrt(np.column_stack(columns)))
 
-    def within(self, wanted: Array) -> tuple[Array, Array]:
+    def pass_probabilities(self, wanted: Array) -> tuple[Array, Array]:
         """Probabilities (K,) that wanted rms errors (K,) are met; NaN where none is.
 
         The second result is the expected rms errors (K,) with which they pass: a pass
@@ -225,7 +225,7 @@ class Adviser:
 
     def advise(self, readings: Path) -> Advice:
         """The advice after the readings of a file. Raises InputError as they are read."""
-        skipped = SkippedPose.of_file(readings, self.everything)
+        skipped = SkippedPose.from_file(readings, self.everything)
         return self.advise_fitted(self.fit(readings), skipped)
 
     def watch(self, readings: Path) -> Iterator[list[str]]:
@@ -392,7 +392,7 @@ class Adviser:
         table = self.base.study.design
         planned = None if table is None else table.size
         remaining = 1 if planned is None else max(planned - count, 1)
-        within, passing = outlook.within(self.limits)
+        within, passing = outlook.pass_probabilities(self.limits)
         limits = outlook.limits(self.limits if self.plan else passing)
         pool, blocks = outlook.pool, outlook.blocks
         use = allowed(pool, outlook.taken, skipped, self.everything)
@@ -763,7 +763,7 @@ class SkippedPose(NamedTuple):
         return f"{SKIPPED}: {reason}" if reason else SKIPPED
 
     @classmethod
-    def of_file(cls, path: Path, measurement: Measurement) -> list[SkippedPose]:
+    def from_file(cls, path: Path, measurement: Measurement) -> list[SkippedPose]:
         """Skipped poses of a file; none of one that is no table, as its readings say."""
         try:
             split = SplitText.of(decode(path.read_bytes()))
@@ -772,10 +772,10 @@ class SkippedPose(NamedTuple):
             return []
         header = [name.strip() for name in lines[0]] if lines else []
         rows = (dict(zip(header, cells, strict=False)) for cells in lines[1:])
-        return list(cls.of_rows(rows, measurement))
+        return list(cls.from_rows(rows, measurement))
 
     @classmethod
-    def of_rows(
+    def from_rows(
         cls, rows: Iterable[Mapping[str, str]], measurement: Measurement
     ) -> Iterator[SkippedPose]:
         """Skipped poses of rows, cells by column."""

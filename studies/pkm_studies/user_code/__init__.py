@@ -45,7 +45,7 @@ class Consent(enum.Enum):
     GIVEN = enum.auto()
 
     @staticmethod
-    def of_call(*, allow_code: bool) -> Consent:
+    def from_call(*, allow_code: bool) -> Consent:
         """The consent of a call with `--allow-code`, or without."""
         return Consent.GIVEN if allow_code else Consent.RECORDED
 

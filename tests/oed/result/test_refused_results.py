@@ -129,4 +129,4 @@ def test_what_is_not_refused_can_be_shown(draw):
         answer_parts(result)
         sections.chapters(result)
         sections.appendix(result)
-        PageView.of_result(result)
+        PageView.from_result(result)

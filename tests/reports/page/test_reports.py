@@ -160,10 +160,10 @@ def test_the_study_file_and_the_seed_are_shown(full):
 def test_users_settings_change_nothing(tmp_path):
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})
-    expected = Document.of_result(drawn).html()
+    expected = Document.from_result(drawn).html()
     settings = {"font.size": 30.0, "axes.grid": False, "text.usetex": False}
     with matplotlib.style.context(settings):
-        assert Document.of_result(drawn).html() == expected
+        assert Document.from_result(drawn).html() == expected
 
 
 def test_a_failed_write_leaves_the_old_report(tmp_path, monkeypatch):
@@ -195,7 +195,7 @@ def test_a_report_needs_no_optional_section(tmp_path):
 def test_a_result_of_an_older_version_lacks_a_key(missing):
     raw = report_fixture.bare()
     raw.pop(missing, None)
-    report = Document.of_result(result_of(raw))
+    report = Document.from_result(result_of(raw))
     assert report.pdf().startswith(b"%PDF")
 
 
@@ -291,7 +291,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(monkeypatch):
         return report_fixture.sketched(picture)
 
     monkeypatch.setattr(document, "drawn_image", sketch)
-    report = Document.of_result(result_of(report_fixture.sample()))
+    report = Document.from_result(result_of(report_fixture.sample()))
     report.pdf()
     printed = [
         block.name
@@ -308,7 +308,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(monkeypatch):
 def test_the_print_is_short(monkeypatch):
     """At most 4 pages for all that a study can ask, in order; in full more."""
     monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
-    report = Document.of_result(result_of(report_fixture.sample()))
+    report = Document.from_result(result_of(report_fixture.sample()))
     pages = [
         max(int(n) for n in re.findall(rb"/Count (\d+)", report.pdf(full=full)))
         for full in (False, True)

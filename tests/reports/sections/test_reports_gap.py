@@ -75,7 +75,7 @@ def test_every_verdict_has_a_page(gap, verdict, monkeypatch):
     section = replace(gap, verdict=verdict)
     if verdict in ("none", "unknown"):
         section = _without_effects(section)
-    report = Document.of_result(_result(section))
+    report = Document.from_result(_result(section))
     page = report.html()
     assert page.rstrip().endswith(b"</html>")
     assert report.pdf().startswith(b"%PDF")
@@ -114,7 +114,7 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap):
         "verdict", "answers", "set95", "where", "closure", "not_testable", "confusable",
     )  # fmt: skip
     old = {key: stored[key] for key in contract}
-    assert Document.of_result(_result(old)).pdf().startswith(b"%PDF")
+    assert Document.from_result(_result(old)).pdf().startswith(b"%PDF")
 
 
 # -- tables ----------------------------------------------------------------------------

@@ -177,7 +177,7 @@ def _check(result: StudyResult, *, draw: bool) -> None:
     ]
     assert not {"nan", "None"} & set(re.findall(r"\w+", " ".join(texts)))
     if draw:
-        assert Document.of_result(result).pdf().startswith(b"%PDF")
+        assert Document.from_result(result).pdf().startswith(b"%PDF")
 
 
 def test_names_are_never_markup(tmp_path):
@@ -192,7 +192,7 @@ def test_names_are_never_markup(tmp_path):
     plan["alternatives"][0] |= {"names": [NASTY], "why": NASTY}
     plan["compared"][0] |= {"name": NASTY, "words": NASTY}
     result = replace(_small(plan), title=NASTY)
-    report = Document.of_result(result)
+    report = Document.from_result(result)
     page = report.html().decode()
     assert "<b>&" not in page
     assert page.count("</script>") == 1

@@ -109,7 +109,7 @@ def test_the_report_draws_the_runs(curves):
     raw["estimate"]["runs"] = msgspec.to_builtins([unknown])
     with pytest.raises(msgspec.ValidationError, match="kind"):
         result_of(raw)
-    report = Document.of_result(result)
+    report = Document.from_result(result)
     assert report.page.sections  # draws
     assert "run_curves" in report.images
     with style.applied():

@@ -100,7 +100,7 @@ def test_a_user_s_effect_replaces_one_of_the_library(tmp_path):
     path = gap_fixture.written(
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
-    request = GapRequest.of_study(Study.load(path), sample.resolved().machine)
+    request = GapRequest.from_study(Study.load(path), sample.resolved().machine)
     (backlash,) = [e for e in request.effects if e.name == "backlash"]
     assert backlash.source == "by hand"
 

@@ -30,7 +30,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 def _covariates(path: Path) -> pd.DataFrame:
     """Covariates of the planned readings of a study."""
     measurement, series = _planned(path)
-    request = GapRequest.of_study(Study.load(path), measurement.machine)
+    request = GapRequest.from_study(Study.load(path), measurement.machine)
     return request.planned_covariates(measurement, series)
 
 
@@ -151,7 +151,7 @@ def test_each_pass_has_a_state_of_its_own(tmp_path):
     """Passes of a circle share their poses in the plan, but not their direction."""
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
-    request = GapRequest.of_study(Study.load(path), measurement.machine)
+    request = GapRequest.from_study(Study.load(path), measurement.machine)
     planned = empty_readings(measurement, series, request)
     assert [len(s.q) for s in planned.series] == [4 * 24 + 1]
     truth = measurement.nominal

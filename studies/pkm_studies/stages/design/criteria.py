@@ -33,17 +33,18 @@ if TYPE_CHECKING:
 
 
 class StudyCriteria:
-    """The criteria of one study."""
+    """The criteria of one study with a design, for a machine with effects or without."""
 
     def __init__(
-        self,
-        resolved: ResolvedStudy,
-        table: DesignTable,
-        request: DesignRequest,
-        effects: PlannedEffects | None = None,
+        self, resolved: ResolvedStudy, effects: PlannedEffects | None = None
     ) -> None:
-        self.resolved, self.table, self.request = resolved, table, request
-        self.effects = effects
+        table, request = resolved.study.design, resolved.design
+        if table is None or request is None:
+            raise LookupError("criteria need [design]")
+        self.table: DesignTable = table
+        self.request: DesignRequest = request
+        self.resolved, self.effects = resolved, effects
+        self.location = resolved.study.location.key("design")
 
     @functools.cached_property
     def error_maps(self) -> accuracy.ErrorMaps | None:

@@ -1,5 +1,7 @@
 """Selects the readings of a plan from the candidates, polishes and orders them."""
 
+from __future__ import annotations
+
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +11,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Index
-from oed.design import CRITERIA, Candidates, Choice, DesignProblem, SizeCurve
+from oed.design import CRITERIA, Candidates, Choice, Criterion, DesignProblem, SizeCurve
 from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
 from oed.identifiability import Assessment, Scaling, prior_information
@@ -35,17 +37,10 @@ from pkm_studies import quantities
 from pkm_studies.base import Location, Stream
 from pkm_studies.describe import displayed_command, field
 from pkm_studies.quantities import fine_units
-from pkm_studies.resolve import (
-    Circles,
-    CommandRanges,
-    DesignRequest,
-    PredictionRequest,
-    ResolvedStudy,
-)
+from pkm_studies.resolve import Circles, CommandRanges, PredictionRequest, ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.recording import PlanToRecord, recording_section
-from pkm_studies.tables import DesignTable
 
 # The time that a plan takes, and the plan section of a study without [plan].
 
@@ -80,6 +75,111 @@ def single_stage_plan(
     return PlanSection([stage], stage.cost, references)
 
 
+# Candidates under the rules of a plan, with what judges it.
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignSearch:
+    """The criteria of a study's plan, and its candidates under the rules of a plan."""
+
+    criteria: StudyCriteria
+    problem: DesignProblem
+
+    @classmethod
+    def build(
+        cls, resolved: ResolvedStudy, effects: PlannedEffects | None = None
+    ) -> DesignSearch:
+        """Candidates with prior information, and the rules. Raises InputError."""
+        criteria = StudyCriteria(resolved, effects)
+        table, request = criteria.table, criteria.request
+        measurement = resolved.measurement
+        try:
+            pool = Candidates.build(
+                measurement,
+                resolved.candidates,
+                measurement.nominal,
+                table.scaling,
+                whole_runs=table.whole_runs,
+                nuisances=None if effects is None else effects.readings,
+            )
+        except ValueError as error:
+            raise criteria.location.key("whole_runs").error(
+                str(error), "give each run a table of its own"
+            ) from error
+        retained = request.retained
+        if retained:
+            pool = pool.add_prior(criteria.information(measurement, retained))
+        elif table.prior:
+            pool = pool.add_prior(prior_information(measurement))
+        budget = None
+        if table.budget_min is not None:
+            budget = 60.0 * table.budget_min - plan_seconds(measurement, retained)
+        mounted = {s.setup for s in retained}
+        rules = pool.rules(
+            size=table.size,
+            budget=budget,
+            most_setups=table.setups_max,
+            mounted=tuple(k for k, name in enumerate(pool.setups) if name in mounted),
+            apart=request.least_distance,
+            quotas=request.quotas,
+        )
+        return cls(criteria, DesignProblem(pool, rules, table.starts))
+
+    def criterion(self, name: str) -> Criterion:
+        """The criterion over the candidates' columns."""
+        return self.criteria.candidates_criterion(name, self.problem.candidates)
+
+    @property
+    def main_criterion(self) -> Criterion:
+        """The criterion that the study's own plan is judged by."""
+        return self.criterion(self.criteria.table.judged_by)
+
+    def check(self) -> None:
+        """Raises InputError where no search by the study's criterion is possible."""
+        with self._refused(self.criteria.table.judged_by, self._main_field):
+            self.problem.check(self.main_criterion)
+
+    def best_plan(
+        self, rng: np.random.Generator, name: str = "", field: str = ""
+    ) -> Choice:
+        """The best plan found by a criterion, of a field of [design]; the study's own.
+
+        Raises InputError.
+        """
+        name, field = name or self.criteria.table.judged_by, field or self._main_field
+        with self._refused(name, field):
+            return self.problem.best_plan(self.criterion(name), rng)
+
+    def accuracy(self, effects: PlannedEffects, chosen: Index) -> dict[str, float]:
+        """Rms error of each component with the chosen readings, in its fine unit."""
+        c, maps = self.problem.candidates, self.criteria.needed_maps
+        measurement = c.measurement
+        if not self.criteria.table.prior:
+            c = c.add_prior(prior_information(measurement))
+        covariance = np.linalg.inv(c.information(chosen))
+        slopes = c.pose_error_slopes(maps.raw, effects.tool)
+        variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
+        mean = variance / len(slopes) + effects.others
+        rms = dict(zip(maps.names, np.sqrt(mean).tolist(), strict=True))
+        return fine_units(rms, measurement.machine)
+
+    @property
+    def _main_field(self) -> str:
+        return "compound" if self.criteria.table.compound else "criterion"
+
+    @contextlib.contextmanager
+    def _refused(self, name: str, field: str) -> Iterator[None]:
+        """Errors of a search for a plan by a criterion as InputError."""
+        try:
+            yield
+        except ValueError as error:
+            remedy = "see `oed list criteria`"
+            if ":" not in str(error):
+                remedy = "ask for more readings, or give more candidates"
+            location = self.criteria.location.key(field)
+            raise location.error(str(error), remedy, name) from error
+
+
 # Polishes the chosen poses, and free settings of their set-ups, off the grid.
 
 
@@ -93,38 +193,38 @@ class PolishedPlan:
 
 
 def polish_plan(
-    study_criteria: StudyCriteria,
-    measurement: Measurement,
-    series: Sequence[Series],
-    retained: Sequence[Series],
+    criteria: StudyCriteria, measurement: Measurement, series: Sequence[Series]
 ) -> PolishedPlan:
     """The chosen readings polished, or as they are where that gains nothing.
 
-    Also where the study does not ask for it. `retained` readings are part of the plan
+    Also where the study does not ask for it. Retained readings are part of the plan
     and do not move. Raises InputError.
     """
-    asked = study_criteria.table.polish
+    table, retained = criteria.table, criteria.request.retained
+    asked = table.polish
     if asked is None or not asked.enabled:
         return PolishedPlan(measurement, tuple(series), None)
-    table, name = study_criteria.table, study_criteria.table.judged_by
-    location = study_criteria.resolved.study.location.key("design").key("polish")
-    ranges = _free_ranges(study_criteria, series, retained, location)
+    name, location = table.judged_by, criteria.location.key("polish")
+    ranges = _free_ranges(criteria, series, location)
+    travel = None
+    if table.limits is not None and table.limits.travel_mm is not None:
+        travel = float(units.to_si(table.limits.travel_mm, "mm"))
     try:
         polished = polish_readings(
             measurement,
             series,
-            study_criteria.parameters_criterion(name, measurement),
+            criteria.parameters_criterion(name, measurement),
             table.scaling,
             free=ranges,
-            prior=_polish_information(study_criteria, measurement, retained),
-            travel=_travel(study_criteria),
+            prior=_polish_information(criteria, measurement),
+            travel=travel,
             clearance=asked.clearance,
             iterations=asked.iterations,
         )
     except ValueError as error:
         raise location.error(str(error), "mend it, or leave polishing out") from error
-    before, value = study_criteria.score(name, measurement, [*retained, *series])
-    after, new_value = study_criteria.score(
+    before, value = criteria.score(name, measurement, [*retained, *series])
+    after, new_value = criteria.score(
         name, polished.measurement, [*retained, *polished.series]
     )
     if after > before:
@@ -138,46 +238,28 @@ def polish_plan(
     return PolishedPlan(measurement, tuple(series), summary)
 
 
-def _travel(study_criteria: StudyCriteria) -> float | None:
-    """How far a held reading may differ from what the instrument holds, m."""
-    limits = study_criteria.table.limits
-    if limits is None or limits.travel_mm is None:
-        return None
-    return float(units.to_si(limits.travel_mm, "mm"))
-
-
 def _free_ranges(
-    study_criteria: StudyCriteria,
-    series: Sequence[Series],
-    retained: Sequence[Series],
-    location: Location,
+    criteria: StudyCriteria, series: Sequence[Series], location: Location
 ) -> CommandRanges:
     """What polishing may move of the set-ups that the plan uses."""
-    ranges = study_criteria.request.free_ranges
-    fixed = {s.setup for s in retained}
+    ranges = criteria.request.free_ranges
+    fixed = {s.setup for s in criteria.request.retained}
     for name in ranges:
         if name in fixed:
-            raise (
-                location.key("free")
-                .key(name)
-                .error(
-                    f"the retained readings of {name} were taken where it stands",
-                    "move another set-up",
-                )
-            )
+            problem = f"the retained readings of {name} were taken where it stands"
+            field = location.key("free").key(name)
+            raise field.error(problem, "move another set-up")
     used = {s.setup for s in series}
     return {name: limits for name, limits in ranges.items() if name in used}
 
 
 def _polish_information(
-    study_criteria: StudyCriteria, measurement: Measurement, retained: Sequence[Series]
+    criteria: StudyCriteria, measurement: Measurement
 ) -> Array | None:
     """Information (n, n) before the polished readings: retained ones, tolerances."""
-    if retained:
-        return study_criteria.information(measurement, retained)
-    if study_criteria.table.prior:
-        return prior_information(measurement)
-    return None
+    if criteria.request.retained:
+        return criteria.information(measurement, criteria.request.retained)
+    return prior_information(measurement) if criteria.table.prior else None
 
 
 def _moved_settings(
@@ -201,27 +283,23 @@ def _moved_settings(
 # Predicts accuracy against the number of readings, and the fewest that suffice.
 
 
-def accuracy_by_size(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    chosen: Choice,
-    location: Location,
-) -> HowManySummary | None:
+def accuracy_by_size(search: DesignSearch, chosen: Choice) -> HowManySummary | None:
     """The curve over the candidates, with bounds, and the fewest readings wanted.
 
     None where the study does not ask for it.
     Where not all set-ups can be mounted, over those of the chosen plan. Raises
     InputError for a component that the machine does not have.
     """
-    table = study_criteria.table.how_many
+    criteria, problem = search.criteria, search.problem
+    table = criteria.table.how_many
     if table is None:
         return None
-    c, location = problem.candidates, location.key("how_many")
-    components = {x.name: x.unit for x in c.measurement.machine.components}
-    wanted = quantities.read_values(table.wanted, components, location.key("wanted"))
-    scale = wanted or _reached_accuracy(study_criteria, problem, chosen)
-    names, factors = _factors(study_criteria, problem, scale)
-    seed_key = Stream.HOW_MANY.key(study_criteria.resolved.study.seed)
+    components = {x.name: x.unit for x in criteria.resolved.machine.components}
+    location = criteria.location.key("how_many").key("wanted")
+    wanted = quantities.read_values(table.wanted, components, location)
+    scale = wanted or _reached_accuracy(search, chosen)
+    names, factors = _factors(search, scale)
+    seed_key = Stream.HOW_MANY.key(criteria.resolved.study.seed)
     size_curve = problem.size_curve(chosen, names, factors, seed_key)
     count = len(size_curve.blocks)
     points = size_curve.curve([n for n in table.readings if n <= count])
@@ -275,23 +353,21 @@ def _fewest_sentences(
     )
 
 
-def _reached_accuracy(
-    study_criteria: StudyCriteria, problem: DesignProblem, chosen: Choice
-) -> dict[str, float]:
+def _reached_accuracy(search: DesignSearch, chosen: Choice) -> dict[str, float]:
     """Accuracy, SI, that the chosen plan reaches in each component that moves."""
-    names, factors = _factors(study_criteria, problem, {})
-    accuracy = problem.accuracy(factors, chosen)
+    names, factors = _factors(search, {})
+    accuracy = search.problem.accuracy(factors, chosen)
     return {n: float(v) for n, v in zip(names, accuracy, strict=True)}
 
 
 def _factors(
-    study_criteria: StudyCriteria, problem: DesignProblem, scale: Mapping[str, float]
+    search: DesignSearch, scale: Mapping[str, float]
 ) -> tuple[tuple[str, ...], Array]:
     """Components, and factors (K, r, n) over the candidates' columns, by `scale`.
 
     Only components in the scale; with an empty one, all that move, in SI.
     """
-    maps, c = study_criteria.needed_maps, problem.candidates
+    maps, c = search.criteria.needed_maps, search.problem.candidates
     measurement = c.measurement
     poses, _, machine_parameters = maps.raw.shape
     moving = [n for k, n in enumerate(maps.names) if maps.raw[:, k].any()]
@@ -314,11 +390,7 @@ MAX_MACHINE_DRAWS = 5
 
 
 def choose_robust(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    nominal: Choice,
-    rng: np.random.Generator,
-    location: Location,
+    search: DesignSearch, nominal: Choice, rng: np.random.Generator
 ) -> tuple[Choice, RobustSummary | None]:
     """The robust plan over the nominal plan's set-ups, and what it gains over that.
 
@@ -326,33 +398,30 @@ def choose_robust(
     Raises InputError for criteria that are not smooth, and where drawn machines cannot
     reach the candidates.
     """
-    table, location = study_criteria.table.robust, location.key("robust")
+    table = search.criteria.table.robust
     if table is None:
         return nominal, None
-    judged_by = study_criteria.table.judged_by
-    scenarios = _scenarios(problem, study_criteria, table.scenarios, rng, location)
-    criterion = study_criteria.candidates_criterion(judged_by, problem.candidates)
+    scenarios = _scenarios(search, table.scenarios, rng)
+    criterion = search.main_criterion
     try:
-        return problem.choose_robust(
+        return search.problem.choose_robust(
             criterion, nominal, scenarios, rng, risk=table.risk, tail_share=table.level
         )
     except ValueError as error:
-        raise location.key("risk").error(
-            str(error),
-            f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
+        raise (
+            search.criteria.location.key("robust")
+            .key("risk")
+            .error(
+                str(error),
+                f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
+            )
         ) from error
 
 
-def _scenarios(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    count: int,
-    rng: np.random.Generator,
-    location: Location,
-) -> Array:
+def _scenarios(search: DesignSearch, count: int, rng: np.random.Generator) -> Array:
     """Blocks (S, C, k, n) of the same commands on drawn machines; first the nominal."""
-    c = problem.candidates
-    measurement, table = c.measurement, study_criteria.table
+    c, table = search.problem.candidates, search.criteria.table
+    measurement = c.measurement
     blocks = [c.blocks]
     failures = 0
     while len(blocks) < count:
@@ -369,7 +438,8 @@ def _scenarios(
         except AssemblyError as error:
             failures += 1
             if failures > MAX_MACHINE_DRAWS * count:
-                raise location.key("scenarios").error(
+                location = search.criteria.location.key("robust").key("scenarios")
+                raise location.error(
                     f"machines within the tolerances cannot reach all candidates: {error}",
                     "narrow the candidates, or the tolerances",
                 ) from error
@@ -384,15 +454,14 @@ def _scenarios(
 MIN_STATED_WEIGHT = 1e-6
 
 
-def choose_relaxed(
-    problem: DesignProblem, study_criteria: StudyCriteria, location: Location
-) -> tuple[Choice, RelaxedSummary]:
+def choose_relaxed(search: DesignSearch) -> tuple[Choice, RelaxedSummary]:
     """The plan of the largest weights, and the weights.
 
     Raises InputError where this plan leaves directions undetermined.
     """
-    c, table = problem.candidates, study_criteria.table
-    criterion = study_criteria.candidates_criterion(table.judged_by, c)
+    problem, table = search.problem, search.criteria.table
+    location = search.criteria.location.key("method")
+    criterion = search.main_criterion
     solver = table.solver or "built_in"
     if problem.rules.size is None:
         reason = "weights need the number of readings, which a budget leaves open"
@@ -407,7 +476,7 @@ def choose_relaxed(
         value=weighed.value,
         bound=weighed.bound,
         gap=weighed.duality_gap,
-        weights=_stated(c, weighed.weights),
+        weights=_stated(problem.candidates, weighed.weights),
     )
     return weighed.choice, summary
 
@@ -471,41 +540,37 @@ def select_design(
 
     Raises InputError where no plan under the rules serves the criterion.
     """
-    table, request = resolved.study.design, resolved.design
-    if table is None or request is None or not resolved.candidates:
+    if not _has_design(resolved):
         return None
-    location = resolved.study.location.key("design")
-    expected = allowed_effects(resolved, table, request, rng)
-    size = chosen_size(table)
+    expected = allowed_effects(resolved, rng)
+    size = chosen_size(resolved)
     planned = expected if expected is None or size == 1.0 else expected.of_size(size)
-    study_criteria = StudyCriteria(resolved, table, request, planned)
-    problem = _problem(resolved, study_criteria, location)
-    field = "compound" if table.compound else "criterion"
-    choice, relaxed_summary = _main_choice(
-        problem, study_criteria, rng, location, field
-    )
-    at_expected = study_criteria, problem
+    search = DesignSearch.build(resolved, planned)
+    choice, relaxed_summary = _main_choice(search, rng)
+    at_expected = search
     if planned is not expected:
-        with_expected = StudyCriteria(resolved, table, request, expected)
-        at_expected = with_expected, _problem(resolved, with_expected, location)
-    summary_of_effects = _compare_rigid(at_expected, choice, rng, location, field)
-    compared = _compared(problem, study_criteria, choice, rng, location.key("compare"))
-    choice, robust_summary = choose_robust(
-        problem, study_criteria, choice, rng, location
-    )
-    size_summary = accuracy_by_size(problem, study_criteria, choice, location)
+        at_expected = DesignSearch.build(resolved, expected)
+    summary_of_effects = None
+    if expected is not None:
+        summary_of_effects = compare_without(at_expected, expected, choice, rng)
+    compared = _compared(search, choice, rng)
+    choice, robust_summary = choose_robust(search, choice, rng)
+    size_summary = accuracy_by_size(search, choice)
+    problem, criteria = search.problem, search.criteria
     series = problem.candidates.readings_of(choice.indices)
-    retained = request.retained
+    retained = criteria.request.retained
     measurement = _mounted(resolved, [*retained, *series])
-    polished = polish_plan(study_criteria, measurement, series, retained)
+    polished = polish_plan(criteria, measurement, series)
     measurement, series = polished.measurement, polished.series
-    ordered = order.order_plan(table, location, measurement, retained, series, rng)
+    ordered = order.order_plan(
+        criteria.table, criteria.location, measurement, retained, series, rng
+    )
     return ChosenDesign(
         measurement=measurement,
         series=ordered.series,
         scheduled=ordered.scheduled,
         choice=choice,
-        criteria=at_expected[0],
+        criteria=at_expected.criteria,
         retained=sum(map(len, retained)),
         candidates=len(problem.candidates),
         bound_ignores_setups=problem.selects_setups and problem.bound_ignores_setups,
@@ -521,172 +586,50 @@ def select_design(
 
 def check_design(resolved: ResolvedStudy) -> None:
     """Raises InputError as `select_design`, for what needs no search."""
-    table, request = resolved.study.design, resolved.design
-    if table is None or request is None or not resolved.candidates:
+    if not _has_design(resolved):
         return
-    if table.allows_effects:
-        check_allowed(resolved, table, request)
-    location = resolved.study.location.key("design")
-    study_criteria = StudyCriteria(resolved, table, request)
-    problem = _problem(resolved, study_criteria, location)
-    name = table.judged_by
-    field = "compound" if table.compound else "criterion"
-    with _refused(name, location.key(field)):
-        problem.check(study_criteria.candidates_criterion(name, problem.candidates))
+    table = resolved.study.design
+    if table is not None and table.allows_effects:
+        check_allowed(resolved)
+    DesignSearch.build(resolved).check()
+
+
+def _has_design(resolved: ResolvedStudy) -> bool:
+    is_asked = resolved.study.design is not None and resolved.design is not None
+    return is_asked and bool(resolved.candidates)
 
 
 def _main_choice(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    rng: np.random.Generator,
-    location: Location,
-    field: str,
+    search: DesignSearch, rng: np.random.Generator
 ) -> tuple[Choice, RelaxedSummary | None]:
     """The plan for the study's own criterion, and weights where it comes from these."""
-    table = study_criteria.table
+    table = search.criteria.table
     summary = None
     if table.method == "relaxed":
-        choice, summary = choose_relaxed(
-            problem, study_criteria, location.key("method")
-        )
+        choice, summary = choose_relaxed(search)
     else:
-        choice = _best(
-            problem, study_criteria, table.judged_by, rng, location.key(field)
-        )
+        choice = search.best_plan(rng)
     if table.branch_nodes:
-        criterion = study_criteria.candidates_criterion(
-            table.judged_by, problem.candidates
-        )
-        choice = problem.tighten(criterion, choice, table.branch_nodes, rng)
+        criterion = search.main_criterion
+        choice = search.problem.tighten(criterion, choice, table.branch_nodes, rng)
     return choice, summary
 
 
-def _compare_rigid(
-    at_expected: tuple[StudyCriteria, DesignProblem],
-    choice: Choice,
-    rng: np.random.Generator,
-    location: Location,
-    field: str,
-) -> AllowedEffects | None:
-    """The choice beside that of a machine without effects; None without effects.
-
-    at_expected  criteria and problem of a machine with effects at their expected sizes
-    """
-    study_criteria, problem = at_expected
-    if study_criteria.effects is None:
-        return None
-    without = _rigid_criteria(study_criteria, rng, location, field)
-    return compare_without(problem, study_criteria, choice, without)
-
-
-def _rigid_criteria(
-    study_criteria: StudyCriteria,
-    rng: np.random.Generator,
-    location: Location,
-    field: str,
-) -> tuple[DesignProblem, Choice]:
-    """The problem of a machine without effects, and its best plan."""
-    resolved, table = study_criteria.resolved, study_criteria.table
-    alone = StudyCriteria(resolved, table, study_criteria.request)
-    problem = _problem(resolved, alone, location)
-    return problem, _best(problem, alone, table.judged_by, rng, location.key(field))
-
-
-def _problem(
-    resolved: ResolvedStudy, study_criteria: StudyCriteria, location: Location
-) -> DesignProblem:
-    """Candidates with prior information, and the rules of a plan."""
-    table, request = study_criteria.table, study_criteria.request
-    measurement, planned = resolved.measurement, study_criteria.effects
-    try:
-        pool = Candidates.build(
-            measurement,
-            resolved.candidates,
-            measurement.nominal,
-            table.scaling,
-            whole_runs=table.whole_runs,
-            nuisances=None if planned is None else planned.readings,
-        )
-    except ValueError as error:
-        raise location.key("whole_runs").error(
-            str(error), "give each run a table of its own"
-        ) from error
-    if table.prior or request.retained:
-        pool = pool.add_prior(_prior_information(study_criteria, measurement))
-    mounted = {s.setup for s in request.retained}
-    rules = pool.rules(
-        size=table.size,
-        budget=_budget(table, request, measurement),
-        most_setups=table.setups_max,
-        mounted=tuple(k for k, name in enumerate(pool.setups) if name in mounted),
-        apart=request.least_distance,
-        quotas=request.quotas,
-    )
-    return DesignProblem(pool, rules, table.starts)
-
-
-def _budget(
-    table: DesignTable, request: DesignRequest, measurement: Measurement
-) -> float | None:
-    """Time for new readings, s: the budget less the time of retained readings."""
-    if table.budget_min is None:
-        return None
-    return 60.0 * table.budget_min - plan_seconds(measurement, request.retained)
-
-
-def _prior_information(
-    study_criteria: StudyCriteria, measurement: Measurement
-) -> Array:
-    """Information (n, n) of retained readings, or of the tolerances alone."""
-    retained = study_criteria.request.retained
-    if retained:
-        return study_criteria.information(measurement, retained)
-    return prior_information(measurement)
-
-
-def _best(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    name: str,
-    rng: np.random.Generator,
-    location: Location,
-) -> Choice:
-    with _refused(name, location):
-        criterion = study_criteria.candidates_criterion(name, problem.candidates)
-        return problem.best_plan(criterion, rng)
-
-
-@contextlib.contextmanager
-def _refused(name: str, location: Location) -> Iterator[None]:
-    """Errors of a search for a plan by a criterion as InputError."""
-    try:
-        yield
-    except ValueError as error:
-        remedy = "see `oed list criteria`"
-        if ":" not in str(error):
-            remedy = "ask for more readings, or give more candidates"
-        raise location.error(str(error), remedy, name) from error
-
-
 def _compared(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    choice: Choice,
-    rng: np.random.Generator,
-    location: Location,
+    search: DesignSearch, choice: Choice, rng: np.random.Generator
 ) -> tuple[CriterionComparison, ...]:
     """Designs for further criteria, each scored by each criterion; the main one first."""
-    table = study_criteria.table
+    table, problem = search.criteria.table, search.problem
     if not table.compare:
         return ()
     main = table.judged_by
     choices = {main: choice}
     for name in dict.fromkeys(table.compare):
         if name != main:
-            choices[name] = _best(problem, study_criteria, name, rng, location)
+            choices[name] = search.best_plan(rng, name, "compare")
     comparisons = []
     for name, design in choices.items():
-        criterion = study_criteria.candidates_criterion(name, problem.candidates)
+        criterion = search.criterion(name)
         scores = {n: problem.score(criterion, c.indices) for n, c in choices.items()}
         comparison = CriterionComparison(
             name=name,
@@ -732,46 +675,48 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
 
 
 def allowed_effects(
-    resolved: ResolvedStudy,
-    table: DesignTable,
-    request: DesignRequest,
-    rng: np.random.Generator,
+    resolved: ResolvedStudy, rng: np.random.Generator
 ) -> PlannedEffects | None:
     """What the effects of [design] do to its candidates; None without any.
 
     Raises InputError for names that are no effects, and where the design cannot allow for
     any.
     """
-    if not table.allows_effects:
+    table = resolved.study.design
+    if table is None or not table.allows_effects:
         return None
     return resolved.gap_or_default.planned_effects(
         resolved.measurement,
         resolved.candidates,
         table.effects,
         resolved.study.location.key("design").key("effects"),
-        check_allowed(resolved, table, request),
+        check_allowed(resolved),
         rng,
     )
 
 
-def chosen_size(table: DesignTable) -> float:
+def chosen_size(resolved: ResolvedStudy) -> float:
     """Size of the effects that a plan is chosen for, in expected sizes.
 
     Those that [design] names are as large as expected. Of the catalogue, a machine has
     few that are: its effects have the typical size that a fit expects of a healthy
     machine. A plan for these loses little on a machine without effects or with large ones.
     """
-    return Discrepancy.HEALTHY if isinstance(table.effects, str) else 1.0
+    table = resolved.study.design
+    is_catalogue = table is not None and isinstance(table.effects, str)
+    return Discrepancy.HEALTHY if is_catalogue else 1.0
 
 
-def check_allowed(
-    resolved: ResolvedStudy, table: DesignTable, request: DesignRequest
-) -> PredictionRequest:
+def check_allowed(resolved: ResolvedStudy) -> PredictionRequest:
     """Where accuracy counts. Raises InputError where a design can allow for no effect."""
     location = resolved.study.location.key("design").key("effects")
+    criteria = StudyCriteria(resolved)
+    table = criteria.table
     reasons = {
         'need scaling = "tolerance"': table.scaling != "tolerance",
-        "are not known of readings that are part of the plan": bool(request.retained),
+        "are not known of readings that are part of the plan": bool(
+            criteria.request.retained
+        ),
         "are not in accuracy by number of readings (how_many)": (
             table.how_many is not None
         ),
@@ -793,39 +738,32 @@ def check_allowed(
 
 
 def compare_without(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
+    search: DesignSearch,
+    effects: PlannedEffects,
     choice: Choice,
-    without: tuple[DesignProblem, Choice],
-) -> AllowedEffects | None:
-    """The choice beside that for a machine without effects; None without effects.
+    rng: np.random.Generator,
+) -> AllowedEffects:
+    """The choice beside the best plan for a machine without effects.
 
-    without  the problem without effects, and its choice
+    effects  at their expected sizes, which the search allows for
     """
-    effects = study_criteria.effects
-    if effects is None:
-        return None
-    rigid_problem, rigid = without
-    name = study_criteria.table.judged_by
-    criterion = study_criteria.candidates_criterion(name, problem.candidates)
-    chosen_value = problem.score(criterion, choice.indices)[0]
-    rigid_value = problem.score(criterion, rigid.indices)[0]
-    rigid_criteria = StudyCriteria(
-        study_criteria.resolved, study_criteria.table, study_criteria.request
-    )
-    alone = rigid_criteria.candidates_criterion(name, rigid_problem.candidates)
-    best_alone = rigid_problem.score(alone, rigid.indices)[0]
-    chosen_alone = rigid_problem.score(alone, choice.indices)[0]
+    alone = DesignSearch.build(search.criteria.resolved)
+    rigid = alone.best_plan(rng)
+    criterion, criterion_alone = search.main_criterion, alone.main_criterion
+    chosen_value = search.problem.score(criterion, choice.indices)[0]
+    rigid_value = search.problem.score(criterion, rigid.indices)[0]
+    best_alone = alone.problem.score(criterion_alone, rigid.indices)[0]
+    chosen_alone = alone.problem.score(criterion_alone, choice.indices)[0]
     none = np.zeros(0, dtype=np.intp)
     return AllowedEffects(
         groups=len(effects.groups),
         unknowns=effects.readings.count,
         efficiency=float(np.exp(rigid_value - chosen_value)),
         efficiency_without=float(np.exp(chosen_alone - best_alone)),
-        accuracy=_accuracy(problem, study_criteria, effects, choice.indices),
-        accuracy_without=_accuracy(problem, study_criteria, effects, rigid.indices),
-        before=_accuracy(problem, study_criteria, effects, none),
-        size=chosen_size(study_criteria.table),
+        accuracy=search.accuracy(effects, choice.indices),
+        accuracy_without=search.accuracy(effects, rigid.indices),
+        before=search.accuracy(effects, none),
+        size=chosen_size(search.criteria.resolved),
     )
 
 
@@ -851,23 +789,3 @@ def recording(
             further={},
         )
     )
-
-
-def _accuracy(
-    problem: DesignProblem,
-    study_criteria: StudyCriteria,
-    effects: PlannedEffects,
-    chosen: Index,
-) -> dict[str, float]:
-    """Rms error of each component with the chosen readings, in its fine unit."""
-    c, maps = problem.candidates, study_criteria.needed_maps
-    measurement = c.measurement
-    if not study_criteria.table.prior:
-        c = c.add_prior(prior_information(measurement))
-    total = c.information(chosen)
-    covariance = np.linalg.inv(total)
-    slopes = c.pose_error_slopes(maps.raw, effects.tool)
-    variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
-    mean = variance / len(slopes) + effects.others
-    rms = dict(zip(maps.names, np.sqrt(mean).tolist(), strict=True))
-    return fine_units(rms, measurement.machine)

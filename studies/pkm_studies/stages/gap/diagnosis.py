@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from oed import dataset, gap, units
 from oed.base import Array
-from oed.design import Rules
 from oed.effect_model import Column, Effect, State
 from oed.gap import (
     Diagnosis,
@@ -199,7 +198,6 @@ def _truth_entry(
 def choose_runs(
     measurement: Measurement,
     design: GapDesignRequest,
-    rules: Rules,
     planned: GapProblem,
     request: GapRequest,
     rng: np.random.Generator,
@@ -221,7 +219,7 @@ def choose_runs(
     )
     try:
         choice, series, covariates = gap.choose_runs(
-            measurement, wanted, rules, planned, rng
+            measurement, wanted, design.needed_rules, planned, rng
         )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
@@ -229,7 +227,7 @@ def choose_runs(
     selected = [design.runs[k] for k in choice.runs]
     timed = covariates
     if "time" not in covariates:
-        timed = covariates.assign(time=_times(covariates, design, rules))
+        timed = covariates.assign(time=_times(covariates, design))
     taken = gap.assemble(measurement, series, timed, gravity=request.gravity)
     chosen = ChosenRuns(
         candidates=len(design.runs) - len(design.retained),
@@ -252,8 +250,9 @@ def choose_runs(
     return chosen, poses_csv(measurement, series, covariates)
 
 
-def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> Array:
+def _times(covariates: pd.DataFrame, design: GapDesignRequest) -> Array:
     """Time of each reading (n,), s, where the runs follow one another."""
+    rules = design.needed_rules
     mounting = dict.fromkeys((run.setup for run in design.runs), 0.0)
     if rules.setups is not None and rules.setups.seconds is not None:
         mounting = dict(zip(mounting, rules.setups.seconds.tolist(), strict=True))
@@ -281,22 +280,6 @@ def poses_csv(
 
 
 # Diagnoses readings of a study and writes the result's section `gap` of it.
-
-
-def diagnose_residuals(
-    measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
-    covariates: pd.DataFrame,
-    theta: Array,
-    request: GapRequest,
-    rng: np.random.Generator,
-) -> Diagnosis:
-    """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
-    residuals = gap.assemble(
-        measurement, series, covariates, theta, y, gravity=request.gravity
-    )
-    return gap.diagnose(residuals, request.effects, rng)
 
 
 def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
@@ -527,46 +510,6 @@ def _spoken(answer: str) -> str:
 MAX_LISTED_EFFECTS = 6
 
 
-@dataclasses.dataclass(frozen=True)
-class GapPreview:
-    """The section, and the chosen runs as a readings file to fill in, if any."""
-
-    section: GapBeforeSection
-    poses_csv: str | None
-
-
-def detectability_preview(
-    measurement: Measurement,
-    series: Sequence[Series],
-    covariates: pd.DataFrame,
-    request: GapRequest,
-    rng: np.random.Generator,
-    design: tuple[Measurement, GapDesignRequest, Rules] | None,
-) -> GapPreview:
-    """What readings as planned could find, and the runs that [gap.design] chooses.
-
-    `design` comes with a measurement of its set-ups, and the rules of the choice. The noise is the stated one: what
-    real runs add to it is unknown before they are read.
-    """
-    planned = gap.assemble(measurement, series, covariates, gravity=request.gravity)
-    fine = _fine_units(measurement)
-    chosen, csv = None, None
-    if design is not None:
-        fine |= _fine_units(design[0])
-        chosen, csv = choose_runs(*design, planned, request, rng)
-    table = gap.detect(planned, planned.stated_law, request.effects, rng)
-    section = GapBeforeSection(table, fine, chosen, [])
-    lines = (
-        _findings("The planned readings", section.table)
-        if section.chosen is None
-        else [
-            _gain(section.chosen),
-            *_findings("The chosen runs", section.chosen.table),
-        ]
-    )
-    return GapPreview(msgspec.structs.replace(section, words=lines), csv)
-
-
 def _fine_units(measurement: Measurement) -> dict[str, str]:
     """Fine unit of each channel, in which the sizes of readings are given."""
     setups = measurement.setups.values()
@@ -642,30 +585,26 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     if covariates is None:
         planned = empty_readings(state.measurement, series, request)
         series, covariates = planned.series, planned.covariates
-    preview = detectability_preview(
-        state.measurement,
-        series,
-        covariates,
-        request,
-        state.rng(Stream.BEFORE),
-        _gap_design(state),
+    problem = gap.assemble(
+        state.measurement, series, covariates, gravity=request.gravity
     )
-    state = state.replace(gap_poses=preview.poses_csv)
-    return state.add_sections(gap_before=preview.section)
-
-
-def _gap_design(state: RunState) -> tuple[Measurement, GapDesignRequest, Rules] | None:
-    """[gap.design] with a measurement of its set-ups, and the rules of the choice.
-
-    None without the table, and where it waits for a plan that was not made.
-    """
-    request = state.resolved.gap_design
-    if request is not None and request.follows_plan:
-        request = _add_plan(state, request)
-    if request is None or request.rules is None:
-        return None
-    setups = {run.setup for run in request.runs}
-    return state.resolved.measurement_with(setups), request, request.rules
+    rng = state.rng(Stream.BEFORE)
+    fine = _fine_units(state.measurement)
+    design = state.resolved.gap_design
+    if design is not None and design.follows_plan:
+        design = _add_plan(state, design)
+    chosen = None
+    if design is not None and design.rules is not None:
+        used = state.resolved.measurement_with({run.setup for run in design.runs})
+        fine |= _fine_units(used)
+        chosen, poses = choose_runs(used, design, problem, request, rng)
+        state = state.replace(gap_poses=poses)
+    # the noise is the stated one: what real runs add to it is unknown before they are read
+    table = gap.detect(problem, problem.stated_law, request.effects, rng)
+    words = _findings("The planned readings", table)
+    if chosen is not None:
+        words = [_gain(chosen), *_findings("The chosen runs", chosen.table)]
+    return state.add_sections(gap_before=GapBeforeSection(table, fine, chosen, words))
 
 
 def _add_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
@@ -709,32 +648,32 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     covariates = covariates_of(
         state.measurement, readings.series, readings.covariates, request
     )
-    diagnosis = diagnose_residuals(
+    residuals = gap.assemble(
         state.measurement,
         readings.series,
-        readings.y,
         covariates,
         state.estimate.theta,
-        request,
-        state.rng(Stream.GAP),
+        readings.y,
+        gravity=request.gravity,
     )
+    diagnosis = gap.diagnose(residuals, request.effects, state.rng(Stream.GAP))
     state = state.replace(diagnosis=diagnosis)
-    gap = gap_section(diagnosis, request.effects)
-    if state.fit_is_bad and gap.verdict == "none":
-        gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
+    section = gap_section(diagnosis, request.effects)
+    if state.fit_is_bad and section.verdict == "none":
+        section = replace(section, next=[AFTER_BAD_FIT])
     estimate = state.result.estimate
-    if estimate is not None and estimate.held and UNKNOWN in gap.answers[0].effects:
+    if estimate is not None and estimate.held and UNKNOWN in section.answers[0].effects:
         names = [name for one in estimate.held for name in one.parameters]
         advice = (
             f"Let {join_words(names)} be fitted, held parameters that the readings"
             " contradict; then diagnose again."
         )
-        gap = msgspec.structs.replace(gap, next=[advice, *gap.next])
+        section = replace(section, next=[advice, *section.next])
     design = state.resolved.gap_design
     further = () if design is None else design.runs
     rng = state.rng(Stream.VISIT)
     visit = advise_second_visit(diagnosis, request, further, rng)
     if visit is None:
-        return state.add_sections(gap=gap)
-    gap = add_visit(gap, visit.record)
-    return state.replace(visit_poses=visit.csv).add_sections(gap=gap)
+        return state.add_sections(gap=section)
+    section = add_visit(section, visit.record)
+    return state.replace(visit_poses=visit.csv).add_sections(gap=section)

@@ -139,7 +139,7 @@ def read_earlier_session(
         f" identified from them ({source})."
     )
     identified_machine = machine.with_parameters(parameters)
-    resolved, plan = resolved.after_readings(request.table, identified_machine, done)
+    resolved, plan = resolved.resume_plan(request.table, identified_machine, done)
     return EarlierSession(
         resolved=resolved,
         plan=plan,

@@ -65,7 +65,9 @@ class ParameterKnowledge:
         expected = (measurement.nominal - measurement.drawn)[: len(self.covariance)]
         return expected if self.mean is None else self.mean
 
-    def before(self, command: Array, reference: Reference, tool: Array) -> Array | None:
+    def controller_errors(
+        self, command: Array, reference: Reference, tool: Array
+    ) -> Array | None:
         """Exact errors (n, k) under the controller as it is, SI; None: a nominal one."""
         kinematics = self.measurement.kinematics
         if kinematics.controller is None:
@@ -174,7 +176,7 @@ def accuracy(
     for reference in references:
         maps = ErrorMaps.of(measurement.kinematics, command, reference, tool)
         remaining = _remaining(knowledge, command, reference, tool)
-        before = knowledge.before(command, reference, tool)
+        before = knowledge.controller_errors(command, reference, tool)
         if (
             knowledge.effects is None
             or knowledge.draws is None

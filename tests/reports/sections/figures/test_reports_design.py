@@ -109,7 +109,7 @@ def test_numbers_that_were_not_finite_leave_gaps():
     design["robust"]["values"][0] = None
     design["how_many"]["accuracy"]["z_um"][0] = None
     design["how_many"] |= {"fewest": None, "wanted": {}, "words": ""}
-    report = Document.of_result(_with_design(design))
+    report = Document.from_result(_with_design(design))
     assert report.pdf().startswith(b"%PDF")
 
 

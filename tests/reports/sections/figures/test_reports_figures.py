@@ -147,7 +147,7 @@ def test_a_figure_of_many_marks_becomes_pixels():
         "residuals_before": values,
         "channels": ["length"] * 6000,
     }
-    report = Document.of_result(result_of(raw))
+    report = Document.from_result(result_of(raw))
     assert b"data:image/png" in report.html()
     assert report.images["residuals"].kind == "png"
     assert report.pdf().startswith(b"%PDF")
