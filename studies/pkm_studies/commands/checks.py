@@ -248,7 +248,15 @@ def draw_machine(path: Path, picture: Path, consent: Consent = Consent.RECORDED)
     machine = _machine(path, consent)
     closure = closest_closure(machine, machine.home_command)
     phrase = _closure_phrase(machine, closure)
-    _save(machine, closure, phrase, picture)
+    from pkm_reports import style
+    from pkm_reports.sections import draw_closure
+
+    title = f"{machine.name} {phrase.partition(':')[0]}"
+    with style.applied():
+        figure = draw_closure(closure, title, [c.name for c in machine.joints])
+        content, kind = io.BytesIO(), picture.suffix[1:].lower()
+        figure.savefig(content, format=kind, dpi=style.PIXELS_PER_INCH)
+    files.write_whole(picture, content.getvalue())
     return f"{picture}: {phrase}"
 
 
@@ -261,20 +269,6 @@ def _machine(path: Path, consent: Consent) -> Machine:
         )
         return machine
     return study_machine(Study.load(shipped.study_path(path), consent), assembled=False)
-
-
-def _save(
-    machine: Machine, closure: ClosestClosure, phrase: str, picture: Path
-) -> None:
-    from pkm_reports import style
-    from pkm_reports.sections import draw_closure
-
-    title = f"{machine.name} {phrase.partition(':')[0]}"
-    with style.applied():
-        figure = draw_closure(closure, title, [c.name for c in machine.joints])
-        content, kind = io.BytesIO(), picture.suffix[1:].lower()
-        figure.savefig(content, format=kind, dpi=style.PIXELS_PER_INCH)
-    files.write_whole(picture, content.getvalue())
 
 
 def _closure_phrase(machine: Machine, closure: ClosestClosure) -> str:

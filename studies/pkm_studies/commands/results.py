@@ -204,15 +204,30 @@ def verify(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
-    from pkm_studies import csv_table
+    from pkm_studies import acceptance
 
     permission = Consent.from_call(allow_code=allow_code)
     if readings is not None:
         _check_judged(promise, uncertainty, planned)
-        if "setup" in csv_table.read(readings).header:
-            return _compare(folder, readings, study, permission)
-        return _judge(folder, readings)
-    return _plan(folder, promise, uncertainty, power, poses, study, permission, planned)
+        return _judge(folder, readings, study, permission)
+    section, path = acceptance.plan_folder(
+        folder,
+        promised=promise,
+        uncertainty=uncertainty,
+        power=power,
+        most=poses,
+        study_file=study,
+        consent=permission,
+        planned=planned,
+    )
+    print(*acceptance.plan_sentences(section), sep="\n")
+    if min(demand.power for demand in section.components.values()) < power:
+        print(
+            f"{len(section.poses)} poses do not reach the power {power:g}: allow more by"
+            " --poses, or measure more accurately (--uncertainty)."
+        )
+    print(f"To fill in: {path}")
+    return DONE
 
 
 def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:
@@ -232,56 +247,16 @@ def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:
             )
 
 
-def _judge(folder: Path, readings: Path) -> int:
-    from pkm_studies import acceptance
-
-    verdict = acceptance.judge_folder(folder, readings)
-    for sentence in acceptance.verdict_sentences(verdict):
-        print(sentence)
-    return DONE if verdict.passed else FAILED
-
-
-def _compare(
+def _judge(
     folder: Path, readings: Path, study: Path | None, permission: Consent
 ) -> int:
-    """Compare readings along runs with what the compensated machine should read."""
-    from pkm_studies import acceptance
+    """Judge a filled-in test, or compare readings along runs with the prediction."""
+    from pkm_studies import acceptance, csv_table
 
-    check = acceptance.check_folder(folder, readings, study, permission)
-    for sentence in acceptance.check_sentences(check):
-        print(sentence)
-    return DONE if check.passed else FAILED
-
-
-def _plan(
-    folder: Path,
-    promise: str,
-    uncertainty: str,
-    power: float,
-    poses: int,
-    study: Path | None,
-    permission: Consent,
-    planned: Path | None,
-) -> int:
-    from pkm_studies import acceptance
-
-    section, path = acceptance.plan_folder(
-        folder,
-        promised=promise,
-        uncertainty=uncertainty,
-        power=power,
-        most=poses,
-        study_file=study,
-        consent=permission,
-        planned=planned,
-    )
-    for sentence in acceptance.plan_sentences(section):
-        print(sentence)
-    least = min(demand.power for demand in section.components.values())
-    if least < power:
-        print(
-            f"{len(section.poses)} poses do not reach the power {power:g}: allow more by"
-            " --poses, or measure more accurately (--uncertainty)."
-        )
-    print(f"To fill in: {path}")
-    return DONE
+    if "setup" in csv_table.read(readings).header:
+        check = acceptance.check_folder(folder, readings, study, permission)
+        print(*acceptance.check_sentences(check), sep="\n")
+        return DONE if check.passed else FAILED
+    verdict = acceptance.judge_folder(folder, readings)
+    print(*acceptance.verdict_sentences(verdict), sep="\n")
+    return DONE if verdict.passed else FAILED

@@ -48,7 +48,14 @@ def result_study(
     """
     location = Location(str(folder / "result.json"))
     if study_file is not None:
-        return _given_study(result, study_file, consent, location)
+        study = Study.load(study_file, consent)
+        difference = machine_difference(result.machine, study_machine(study))
+        if difference is None:
+            return study
+        raise location.error(
+            f"the machine of {study_file} is not that of this result: {difference}",
+            "give the study that the result was made with",
+        )
     if not result.study_text:
         raise location.error("this result holds no study", "give it: --study STUDY")
     path = folder / f"{result.study}{SUFFIX}"
@@ -61,19 +68,6 @@ def result_study(
             "give the study: --study STUDY",
         )
     return study
-
-
-def _given_study(
-    result: StudyResult, study_file: Path, consent: Consent, location: Location
-) -> Study:
-    study = Study.load(study_file, consent)
-    difference = machine_difference(result.machine, study_machine(study))
-    if difference is None:
-        return study
-    raise location.error(
-        f"the machine of {study_file} is not that of this result: {difference}",
-        "give the study that the result was made with",
-    )
 
 
 Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureSection)

@@ -34,18 +34,16 @@ Point = tuple[float, float, float]
 
 
 def keep_within_limits(
-    table: LimitsTable,
-    measurement: Measurement,
-    series: Series,
-    location: Location,
-    *,
-    whole_runs: bool,
+    design: DesignTable, measurement: Measurement, series: Series, location: Location
 ) -> tuple[Series, dict[str, int]]:
-    """Readings of a series within the limits, and the number refused, by reason.
+    """Readings of a series within [design.limits], and the number refused, by reason.
 
     With `whole_runs`, one refused reading refuses its run. Raises InputError where a
     limit cannot be checked, or no reading is left.
     """
+    table, location = design.limits, location.key("limits")
+    if table is None:
+        return series, {}
     try:
         limits = _limits(table, measurement, series.setup, location)
         verdict = limits.check(measurement, series)
@@ -57,7 +55,7 @@ def keep_within_limits(
                 reasons[UNLIKELY] = int((~likely).sum())
     except ValueError as error:
         raise location.error(str(error), "mend or remove this limit") from error
-    if whole_runs:
+    if design.whole_runs:
         broken = set(series.run[~allowed])
         allowed = np.array([run not in broken for run in series.run])
     if not allowed.any():
@@ -189,7 +187,9 @@ def candidates(
                 f" because {table.setup} cannot hold its reading there"
             )
         count = len(series)
-        series, reasons = _is_within_limits(study.design, measurement, series, location)
+        series, reasons = keep_within_limits(
+            study.design, measurement, series, location
+        )
         for reason, number in reasons.items():
             refusals[reason] += number
             warnings.append(
@@ -207,20 +207,6 @@ def candidates(
             warnings += _hold_warnings(measurement, series, field)
         every.append(series)
     return tuple(every), dict(refusals), tuple(warnings)
-
-
-def _is_within_limits(
-    table: DesignTable, measurement: Measurement, series: Series, location: Location
-) -> tuple[Series, dict[str, int]]:
-    if table.limits is None:
-        return series, {}
-    return keep_within_limits(
-        table.limits,
-        measurement,
-        series,
-        location.key("limits"),
-        whole_runs=table.whole_runs,
-    )
 
 
 def _is_length(measurement: Measurement, series: Series) -> Mask:

@@ -141,38 +141,6 @@ def noise_with_effects(
     return Laws.stated(wider).noise(wider)
 
 
-def outlook_with_effects(
-    state: RunState,
-    measurement: Measurement,
-    taken: Sequence[Series],
-    theta: Array,
-    raw: Array,
-    effects: PlannedEffects,
-) -> Outlook:
-    """The outlook after the readings taken, linear about theta (n,).
-
-    raw  (n, K, p) pose errors over the workspace per unit of each parameter, SI
-    """
-    pool = Candidates.build(
-        measurement,
-        [*taken, *state.resolved.candidates],
-        theta,
-        "tolerance",
-        nuisances=effects.readings,
-    )
-    pool = pool.add_prior(prior_information(measurement))
-    count = sum(map(len, taken))
-    total = pool.prior_information
-    information_so_far = pool.information(np.arange(count))
-    factors = pool.pose_error_slopes(raw, effects.tool)
-    by_component = factors.swapaxes(0, 1) / np.sqrt(len(raw))
-    before, now = (
-        np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)
-    )
-    beliefs = Belief.build(before, by_component), Belief.build(now, by_component)
-    return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)
-
-
 #: how a file is refused whose cells for readings are all empty
 NO_READING = "no reading was taken"
 #: what `wanted` is where a session should reach what the study's plan would
@@ -309,9 +277,7 @@ class Adviser:
         if effects is None:
             outlook = self._outlook(measurement, theta, estimate)
         else:
-            outlook = outlook_with_effects(
-                self.base, measurement, series, theta, self.maps.raw, effects
-            )
+            outlook = self._outlook_with_effects(measurement, series, theta, effects)
         if self.plan:
             blocks = outlook.blocks
             planned = outlook.before.update_all(blocks, self.plan)
@@ -327,6 +293,31 @@ class Adviser:
         before = self.prior(measurement, pool)
         now = self._belief(measurement, pool, estimate)
         return Outlook(pool, 0, before, now, np.zeros(len(self.maps.names)))
+
+    def _outlook_with_effects(
+        self,
+        measurement: Measurement,
+        taken: Sequence[Series],
+        theta: Array,
+        effects: PlannedEffects,
+    ) -> Outlook:
+        """The outlook after the readings taken, linear about theta (n,)."""
+        pool = Candidates.build(
+            measurement,
+            [*taken, *self.base.resolved.candidates],
+            theta,
+            "tolerance",
+            nuisances=effects.readings,
+        )
+        pool = pool.add_prior(prior_information(measurement))
+        count = sum(map(len, taken))
+        factors = pool.pose_error_slopes(self.maps.raw, effects.tool)
+        by_component = factors.swapaxes(0, 1) / np.sqrt(len(self.maps.raw))
+        before, now = (
+            Belief.build(np.asarray(np.linalg.inv(total), dtype=float), by_component)
+            for total in (pool.prior_information, pool.information(np.arange(count)))
+        )
+        return Outlook(pool, count, before, now, effects.others, holds_effects=True)
 
     def accuracy(
         self, measurement: Measurement, pool: Candidates, indices: Sequence[int]

@@ -180,37 +180,20 @@ NO_HELP = "parameters alone are expected to leave no larger error"
 LOADED = ("gravity", "frame_bending")
 
 
-@dataclasses.dataclass(frozen=True)
-class Workspace:
-    """Where a corrected model is used.
-
-    command  (n, n_dof) commands, SI
-    axes     of the tables of effects
-    wanted   errors to reach by component, SI
-    """
-
-    command: Array
-    axes: tuple[GridAxis, ...]
-    wanted: Mapping[str, float]
-
-
 def corrected_section(
+    state: Fitted,
     corrected: CorrectedEstimate,
-    gap: GapSection | None,
     accuracy: CorrectedAccuracy | None,
     draws: Posterior | None,
-    workspace: Workspace,
-    *,
-    origin: str = "diagnosis",
-    truth: Array | None = None,
-    warnings: Sequence[str] = (),
+    used: StudyWorkspace,
+    warnings: Sequence[str],
 ) -> CorrectedSection:
     """The section of an estimate, with tables of its effects over a box of commands.
 
-    `origin` says who named the effects, `truth` (n,) are a virtual machine's parameters,
-    `warnings` those of the fit.
+    `used` is where the corrected model is used, `warnings` those of the fit.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
+    truth = state.readings.truth
     if truth is not None:
         truth = np.concatenate([truth, np.full(len(corrected.scales), np.nan)])
     whole = estimate_section(measurement, corrected.series, estimate, truth)
@@ -219,17 +202,16 @@ def corrected_section(
     size = len(parameters)
     predicted = None
     if accuracy is not None:
-        predicted = add_wanted(_predicted(measurement, accuracy), workspace.wanted)
-    tables, not_tabled = effect_tables(
-        corrected, workspace.command, workspace.axes, predicted
-    )
+        wanted = state.resolved.wanted_accuracy
+        predicted = add_wanted(_predicted(measurement, accuracy), wanted)
+    tables, not_tabled = effect_tables(corrected, used.regular, used.axes, predicted)
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,
         effects=dict(_coefficients(corrected)),
         constants={f.effect.name: dict(f.constants) for f in corrected.forms},
-        conditions=conditions(corrected, gap),
-        origin=origin,
+        conditions=conditions(corrected, state.result.gap),
+        origin="given" if state.with_effects else "diagnosis",
         rms_after=whole.rms_after,
         units=whole.units,
         readings=whole.readings,
@@ -541,9 +523,6 @@ def _add_section(
         worth = None if draws is None else float(np.nanmin(draws.ess))
         plain = state.estimate.theta[: len(kinematics.machine.parameters)]
         accuracy = corrected.predict(command, reference, rng, theta, worth, plain)
-    workspace = Workspace(
-        command=command, axes=used.axes, wanted=state.resolved.wanted_accuracy
-    )
     goodness = goodness_of_delivered(
         corrected.measurement,
         corrected.series,
@@ -555,23 +534,14 @@ def _add_section(
         corrected.estimate, chi2=goodness.chi2, dof=goodness.dof
     )
     corrected = dataclasses.replace(corrected, estimate=estimate)
-    section = corrected_section(
-        corrected,
-        gap,
-        accuracy,
-        draws,
-        workspace,
-        origin="given" if state.with_effects else "diagnosis",
-        truth=state.readings.truth,
-        warnings=misfit_warnings(goodness, noise_is_a_guess=state.noise_is_a_guess),
-    )
+    warnings = misfit_warnings(goodness, noise_is_a_guess=state.noise_is_a_guess)
+    section = corrected_section(state, corrected, accuracy, draws, used, warnings)
     if accuracy is not None:
         section = add_least_error(section, corrected, accuracy, plain)
     turned = corrected.turned_runs()
     if turned is not None:
-        names = [run for _, run in turned.runs]
-        before, after = turned.before, turned.after
-        return _mark_turned_runs(state, section, names, before, after)
+        names, ratios = [run for _, run in turned.runs], (turned.before, turned.after)
+        return _mark_turned_runs(state, section, names, ratios)
     state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
@@ -587,14 +557,13 @@ def _mark_turned_runs(
     state: Fitted,
     section: CorrectedSection,
     turned: Sequence[str],
-    before: float,
-    after: float,
+    ratios: tuple[float, float],
 ) -> Fitted:
     """The state whose first finding is runs that were driven the other way than written.
 
-    before, after  residuals over the stated noise as given, and with these runs turned
+    ratios  residuals over the stated noise as given, and with these runs turned
     """
-    names = ", ".join(turned)
+    names, (before, after) = ", ".join(turned), ratios
     runs, were = ("run", "was") if len(turned) == 1 else ("runs", "were")
     effects = " and ".join(section.constants)
     sentence = (

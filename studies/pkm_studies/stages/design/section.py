@@ -376,14 +376,9 @@ def identifiability_section(
 def _index(assessment: Assessment, name: str) -> float:
     """An observability index over the directions that the readings determine."""
     s = assessment.identifiability.identifiable_singular_values
-    count_of = _poses if CRITERIA[name].index_of_poses else _readings
-    return CRITERIA.index(
-        name, s, sum(count_of(assessment, x) for x in assessment.series)
-    )
-
-
-def _readings(assessment: Assessment, series: Series) -> int:
-    return len(series)
+    of_poses = CRITERIA[name].index_of_poses
+    counts = [_poses(assessment, x) if of_poses else len(x) for x in assessment.series]
+    return CRITERIA.index(name, s, sum(counts))
 
 
 def _poses(assessment: Assessment, series: Series) -> int:
@@ -394,31 +389,26 @@ def _poses(assessment: Assessment, series: Series) -> int:
 
 
 def identifiable_variants(
-    measurement: Measurement,
-    series: Sequence[Series],
-    references: Mapping[str, SeriesWithMeasurement],
-    scaling: Scaling,
-    indices: Sequence[str] = (),
+    state: ScheduledT, references: Mapping[str, SeriesWithMeasurement], scaling: Scaling
 ) -> dict[str, IdentifiabilitySection]:
     """Sections for each reference plan, and for each set-up of the plan alone."""
-    sections = {}
-    for name, (reference_measurement, reference_series) in references.items():
-        identifiability = Assessment.of(
-            reference_measurement, reference_series, scaling
-        )
-        sections[name] = identifiability_section(identifiability, scaling, {}, indices)
     by_setup: dict[str, list[Series]] = {}
-    for s in series:
+    for s in state.readings.series:
         by_setup.setdefault(s.setup, []).append(s)
-    if len(by_setup) < 2:
-        return sections
-    for name, alone in by_setup.items():
-        others = {n: (measurement, s) for n, s in by_setup.items() if n != name}
-        identifiability = Assessment.of(measurement, alone, scaling)
-        sections[f"{name} alone"] = identifiability_section(
-            identifiability, scaling, others, indices
+    plans: dict[str, SeriesWithMeasurement] = {**references}
+    others: dict[str, dict[str, SeriesWithMeasurement]] = {}
+    if len(by_setup) > 1:
+        alone = {n: (state.measurement, series) for n, series in by_setup.items()}
+        for name, plan in alone.items():
+            plans[f"{name} alone"] = plan
+            others[f"{name} alone"] = {n: p for n, p in alone.items() if n != name}
+    indices = state.study.design.indices if state.study.design else ()
+    return {
+        name: identifiability_section(
+            Assessment.of(*plan, scaling), scaling, others.get(name, {}), indices
         )
-    return sections
+        for name, plan in plans.items()
+    }
 
 
 # Steps that plan readings: design, plan of stages, identifiability, drawing.
@@ -505,9 +495,7 @@ def analyse_identifiability(state: ScheduledT) -> ScheduledT:
     verdict = Assessment.of(state.measurement, series, scaling)
     return state.replace(identifiability=verdict).add_sections(
         identifiability=identifiability_section(verdict, scaling, others, indices),
-        identifiability_of=identifiable_variants(
-            state.measurement, series, references, scaling, indices
-        ),
+        identifiability_of=identifiable_variants(state, references, scaling),
         kappa_maps=[select.kappa_map(c, scaling) for c in resolved.kappa_circles],
     )
 

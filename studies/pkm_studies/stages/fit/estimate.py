@@ -131,21 +131,15 @@ def with_noise(
     return msgspec.structs.replace(section, noise=records, noise_words=phrase)
 
 
-def add_assumption(
-    section: GoodnessSection,
-    estimate: Estimate,
-    setups: Mapping[str, Setup],
-    count: int,
+def _add_assumption(
+    section: GoodnessSection, state: Measured, estimate: Estimate
 ) -> GoodnessSection:
-    """The section with a finding that the noise is assumed, where nothing tests it.
-
-    setups  of the readings
-    count   of the readings
-    """
-    if section.noise:
-        return section
+    """The section with a finding that the noise is assumed, which nothing tests."""
+    series = state.readings.series
+    count = sum(map(len, series))
     amounts = []
-    for setup in setups.values():
+    for name in sorted({s.setup for s in series}):
+        setup = state.measurement.setups[name]
         for channel, sigma in zip(setup.instrument.channels, setup.sigma, strict=True):
             unit = units.FINE[channel.unit]
             amounts.append(f"{channel.name} {units.number(sigma, unit):.3g} {unit}")
@@ -640,7 +634,9 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     runs = predict_runs(measurement, readings.series, estimate)
     warnings = section.warnings
-    goodness = _goodness(state, estimate)
+    goodness = with_noise(state.goodness, estimate, state.measurement.setups)
+    if state.study.noise.assumed and not goodness.noise:
+        goodness = _add_assumption(goodness, state, estimate)
     if runs is not None:
         warnings, goodness = [*warnings, *runs.warnings], runs.add_to(goodness)
     section = msgspec.structs.replace(section, runs=curves, warnings=warnings)
@@ -687,16 +683,6 @@ def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
     )
     larger = judged.widened(measurement)
     return state.replace(measurement=larger).add_warnings(warning)
-
-
-def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:
-    section = with_noise(state.goodness, estimate, state.measurement.setups)
-    if not state.study.noise.assumed:
-        return section
-    used = {s.setup for s in state.readings.series}
-    setups = {name: state.measurement.setups[name] for name in sorted(used)}
-    count = sum(len(s) for s in state.readings.series)
-    return add_assumption(section, estimate, setups, count)
 
 
 def _refuse_mode_jump(state: Measured, theta: Array) -> None:

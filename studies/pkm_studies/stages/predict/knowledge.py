@@ -177,11 +177,12 @@ def accuracy(
         maps = ErrorMaps.of(measurement.kinematics, command, reference, tool)
         remaining = _remaining(knowledge, command, reference, tool)
         before = knowledge.controller_errors(command, reference, tool)
-        if (
-            knowledge.effects is None
-            or knowledge.draws is None
-            or knowledge.mean is None
-        ):
+        if knowledge.effects is not None and knowledge.draws is not None:
+            acting = knowledge.effects.maps(command, reference, rng, tool)
+            predicted = _add_effects(
+                knowledge, maps, acting, remaining, before, reference, rng
+            )
+        else:
             predicted = predict(
                 maps,
                 measurement.prior_covariance[:count, :count],
@@ -196,19 +197,6 @@ def accuracy(
                 reference=reference,
                 variance=variances.get(reference),
             )
-        else:
-            predicted = _add_effects(
-                knowledge,
-                knowledge.effects,
-                knowledge.draws,
-                knowledge.mean,
-                maps,
-                remaining,
-                before,
-                reference,
-                rng,
-                tool,
-            )
         spreads = predicted.fully_corrected
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
         result[reference] = Accuracy(predicted, maps, variance)
@@ -217,21 +205,17 @@ def accuracy(
 
 def _add_effects(
     knowledge: ParameterKnowledge,
-    effects: ActingEffects,
-    parameters: Array,
-    mean: Array,
     maps: ErrorMaps,
+    acting: ErrorMaps,
     remaining: Array | None,
     before: Array | None,
     reference: Reference,
     rng: np.random.Generator,
-    tool: Array,
 ) -> Prediction:
-    """Accuracy with effects that act beside the parameters and stay as they are.
-
-    parameters  (m, np) draws about the estimate;  mean  (np,) identified errors
-    """
-    acting = effects.maps(maps.command, reference, rng, tool)
+    """Accuracy with effects that act beside the parameters and stay as they are."""
+    effects, parameters, mean = knowledge.effects, knowledge.draws, knowledge.mean
+    if effects is None or parameters is None or mean is None:
+        raise LookupError("effects act beside the draws of a fit")
     both = ErrorMaps(
         command=maps.command,
         names=maps.names,

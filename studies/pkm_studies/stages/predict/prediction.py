@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import msgspec
@@ -13,7 +13,6 @@ from oed import posterior, trust, units
 from oed.accuracy import (
     Budget,
     BudgetModel,
-    ErrorMaps,
     Prediction,
     Reference,
     Spread,
@@ -46,7 +45,6 @@ from oed.result import (
 from oed.units import MM
 from pkm_studies import describe
 from pkm_studies.base import Stream
-from pkm_studies.resolve import GapRequest
 from pkm_studies.results import advice_on, error_ratio
 from pkm_studies.stages.fit.estimate import session_states
 from pkm_studies.stages.gap.diagnosis import empty_readings
@@ -146,15 +144,6 @@ def component_records(
         c.name: spread_record(prediction.after[c.name], units.FINE[c.unit])
         for c in machine.components
     }
-
-
-def tool_accuracy(
-    machine: Machine, prediction: Prediction, length: float
-) -> ToolAccuracy:
-    """Accuracy after compensation at a tool of a length, m."""
-    unit = units.display("m")
-    records = component_records(machine, prediction)
-    return ToolAccuracy(units.number(length, unit), unit, records)
 
 
 def _component_values(
@@ -338,21 +327,20 @@ class HypothesisDraws:
 
 def held_out_sections(
     measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
+    held_out: HeldOut,
     drawn: Sequence[HypothesisDraws],
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
-    """One section for each series and channel of the held-out readings y (N,), SI.
+    """One section for each series and channel of the held-out readings.
 
     drawn  by each hypothesis, as many as its share
     """
     mean = np.vstack([machines.theta for machines in drawn]).mean(axis=0)
     sections = []
     start = 0
-    for s in series:
+    for s in held_out.series:
         channels = measurement.setups[s.setup].instrument.channels
-        readings = y[start : start + len(s) * len(channels)]
+        readings = held_out.y[start : start + len(s) * len(channels)]
         predicted = np.vstack([m.readings(measurement, s, start) for m in drawn])
         start += len(readings)
         noise = np.vstack([_noise_draws(measurement, s, m, rng) for m in drawn])
@@ -544,48 +532,6 @@ def _mean_square(values: Array) -> Array:
 MACHINES_AT_ONCE = 200
 
 
-def realised_accuracy(
-    measurement: Measurement,
-    series: Sequence[Series],
-    command: Array,
-    reference: Reference,
-    count: int,
-    rng: np.random.Generator,
-    *,
-    stages: Sequence[Sequence[str]] = (("*",),),
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, Spread] | None:
-    """True pose error after compensation, by component, of `count` drawn machines.
-
-    command   (n, n_dof) commands at which the error is computed
-    stages    patterns of the parameters freed in turn
-    progress  called with the share of machines that are done
-
-    None where no machine is asked for.
-    """
-    if not count:
-        return None
-    keep = len(measurement.machine.parameters)
-    errors = []
-    for start in range(0, count, MACHINES_AT_ONCE):
-        machines = min(MACHINES_AT_ONCE, count - start)
-        truth, y = _draw_machines(measurement, series, machines, rng)
-        theta = fit_machines(measurement, series, y, stages=stages)
-        identified, true = theta[:, :keep], truth[:, :keep]
-        errors.append(
-            driven_errors(
-                measurement.kinematics, command, true, reference, believed=identified
-            )
-        )
-        if progress is not None:
-            progress((start + machines) / count)
-    table = np.concatenate(errors)
-    return {
-        c.name: Spread.of_errors(table[:, :, k])
-        for k, c in enumerate(measurement.machine.components)
-    }
-
-
 def _draw_machines(
     measurement: Measurement,
     series: Sequence[Series],
@@ -653,19 +599,36 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
 def _realised(
     state: Scheduled, table: PredictionTable, command: Array
 ) -> Mapping[str, Spread] | None:
-    """Accuracy of virtual machines; None where the study asks for none, or is measured."""
-    if isinstance(state, Fitted) and state.readings.truth is None:
+    """True pose errors after compensation, by component, of virtual machines.
+
+    At commands (n, n_dof). None where the study asks for no machine, or is measured.
+    """
+    count = table.virtual_machines
+    if not count or (isinstance(state, Fitted) and state.readings.truth is None):
         return None
-    return realised_accuracy(
-        state.measurement,
-        state.readings.series,
-        command,
-        table.reference,
-        table.virtual_machines,
-        state.rng(Stream.MACHINES),
-        stages=state.resolved.identification_stages,
-        progress=state.progress.share,
-    )
+    measurement, series = state.measurement, state.readings.series
+    keep = len(measurement.machine.parameters)
+    stages, rng = state.resolved.identification_stages, state.rng(Stream.MACHINES)
+    errors = []
+    for start in range(0, count, MACHINES_AT_ONCE):
+        machines = min(MACHINES_AT_ONCE, count - start)
+        truth, y = _draw_machines(measurement, series, machines, rng)
+        fitted = fit_machines(measurement, series, y, stages=stages)
+        errors.append(
+            driven_errors(
+                measurement.kinematics,
+                command,
+                truth[:, :keep],
+                table.reference,
+                believed=fitted[:, :keep],
+            )
+        )
+        state.progress.share((start + machines) / count)
+    every = np.concatenate(errors)
+    return {
+        c.name: Spread.of_errors(every[:, :, k])
+        for k, c in enumerate(measurement.machine.components)
+    }
 
 
 def _knowledge(state: Scheduled) -> ParameterKnowledge:
@@ -716,11 +679,17 @@ def _section(
 
 def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | None:
     """Effects that usually go unmodelled, at the sizes that are expected of them."""
-    return expected_unmodelled(
-        state.measurement,
-        state.readings.series,
+    measurement, request = state.measurement, state.resolved.gap_or_default
+    planned = empty_readings(measurement, state.readings.series, request)
+    problem = assemble(
+        measurement, planned.series, planned.covariates, gravity=request.gravity
+    )
+    return ExpectedEffects.of(
+        problem,
+        SessionStates.of(problem),
+        BudgetModel.of(measurement, problem.series, measurement.nominal),
         main.maps,
-        state.resolved.gap_or_default,
+        request.effects,
         main.prediction.reference,
         state.rng(Stream.UNMODELLED),
     )
@@ -733,7 +702,7 @@ def _tools(
     command: Array,
 ) -> list[ToolAccuracy]:
     """Accuracy after compensation at tools of the lengths that the study names."""
-    machine = state.measurement.machine
+    machine, unit = state.measurement.machine, units.display("m")
     rng = state.rng(Stream.TOOLS)
     records = []
     for length in table.tools:
@@ -743,7 +712,8 @@ def _tools(
             parameter_knowledge, moved, [table.reference], rng, tool
         )
         predicted = result[table.reference].prediction
-        records.append(tool_accuracy(machine, predicted, length * MM))
+        spreads = component_records(machine, predicted)
+        records.append(ToolAccuracy(units.number(tool[2], unit), unit, spreads))
     return records
 
 
@@ -767,9 +737,7 @@ def predict_held_out(state: Fitted) -> Fitted:
     state.progress.stage("held-out readings")
     rng = state.rng(Stream.HELD_OUT)
     drawn = _hypothesis_draws(state, held_out, rng)
-    sections = held_out_sections(
-        state.measurement, held_out.series, held_out.y, drawn, rng
-    )
+    sections = held_out_sections(state.measurement, held_out, drawn, rng)
     return state.add_sections(held_out=sections)
 
 
@@ -803,25 +771,3 @@ def _hypothesis_draws(
             theta, law = answer.theta[rows], answer.noise_law[rows]
             parts.append(HypothesisDraws(answer.estimate, theta, law, changes))
     return parts
-
-
-# -- effects that no plan models -------------------------------------------------------
-
-
-def expected_unmodelled(
-    measurement: Measurement,
-    series: Sequence[Series],
-    maps: ErrorMaps,
-    request: GapRequest,
-    reference: Reference,
-    rng: np.random.Generator,
-) -> ExpectedEffects | None:
-    """Errors by each effect of a request in planned readings and over the workspace."""
-    planned = empty_readings(measurement, series, request)
-    problem = assemble(
-        measurement, planned.series, planned.covariates, gravity=request.gravity
-    )
-    model = BudgetModel.of(measurement, problem.series, measurement.nominal)
-    return ExpectedEffects.of(
-        problem, SessionStates.of(problem), model, maps, request.effects, reference, rng
-    )
