@@ -4,6 +4,8 @@ A file is written whole or not at all. What is stored is not computed again, so 
 work which was interrupted, or killed, goes on where it was.
 """
 
+from __future__ import annotations
+
 import ctypes
 import dataclasses
 import functools

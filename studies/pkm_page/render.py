@@ -1,5 +1,7 @@
 """The pages as HTML: one document each, its script named by digest in the policy."""
 
+from __future__ import annotations
+
 import base64
 import hashlib
 import json

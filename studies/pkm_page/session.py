@@ -4,6 +4,8 @@ All pages of a server share one session. Its adviser is that of `oed next`, so t
 and command decide alike.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import os
 import tempfile

@@ -1,5 +1,7 @@
 """Any CSV with commanded poses or joints and readings, by a column map."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 
 import msgspec

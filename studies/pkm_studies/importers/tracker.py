@@ -12,6 +12,8 @@ a unit are taken for millimetres, which their best fit to the machine confirms o
 Everything else needs a map.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import re

@@ -1,5 +1,7 @@
 """Tolerances and fixed parameters of machine and set-ups, as the study gives them."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,7 @@
 """Runs a study into a folder: takes the steps, and writes what they gave."""
 
+from __future__ import annotations
+
 import collections
 import functools
 import re

@@ -1,5 +1,7 @@
 """The step that corrects effects together with the geometry, and its section of the result."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
