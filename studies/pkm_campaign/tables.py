@@ -197,7 +197,7 @@ def _check_settings(campaign: Campaign) -> None:
     location = campaign.location
     for field, values in campaign.vary.items():
         if not values:
-            field_location = location.key("vary").key(field)
+            field_location = location.path("vary", field)
             raise field_location.error("no values", "list the values to try")
     settings = campaign.settings()
     if len(settings) * campaign.seeds > MAX_CASES:
@@ -221,7 +221,7 @@ def _check_functions(campaign: Campaign) -> None:
     """Raises InputError for functions that are not there, and names of other columns."""
     for name in campaign.vary:
         if name in COLUMNS:
-            field_location = campaign.location.key("vary").key(name)
+            field_location = campaign.location.path("vary", name)
             raise field_location.error(
                 "this names another column", "choose another name"
             )

@@ -172,7 +172,7 @@ def _tables(
         yield location.key(key), getattr(file, key)
     for key in ("person", "instrument"):
         for i, table in enumerate(getattr(file, key)):
-            yield location.key(key).item(i), table
+            yield location.path(key, i), table
 
 
 def _date(text: str, location: Location) -> datetime.date:

@@ -23,7 +23,7 @@ def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Da
     else:
         data = _source_rows(table.source, table, study, measurement)
     for field, names in (("fit", table.fit or []), ("predict", table.predict)):
-        location = study.location.key("readings").key(field)
+        location = study.location.path("readings", field)
         for i, name in enumerate(names):
             if name not in data.setups:
                 remedy = suggest(name, data.setups, "set-ups with readings")

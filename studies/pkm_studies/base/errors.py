@@ -81,6 +81,13 @@ class Location:
         """An entry, by its index from 0, of the list at this place."""
         return Location(self.file, f"{self.field}[{index + 1}]")
 
+    def path(self, *steps: str | int) -> Location:
+        """A place below this one, by keys of tables and indices, from 0, of lists."""
+        place = self
+        for step in steps:
+            place = place.key(step) if isinstance(step, str) else place.item(step)
+        return place
+
     def error(self, problem: str, remedy: str, value: object = _MISSING) -> InputError:
         """The error to raise for a value at this place."""
         text = "" if value is _MISSING else quote(value)

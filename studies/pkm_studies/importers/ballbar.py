@@ -71,13 +71,13 @@ def trace_columns(
     columns = {}
     for name, source in mapping.columns.items():
         if not isinstance(source, str):
-            field = location.key("columns").key(name)
+            field = location.path("columns", name)
             problem = "a column of a ball bar takes no factor or offset"
             raise field.error(problem, "state its unit in the name, as in deviation_um")
         columns[name] = source
         read_values({name: 0.0}, QUANTITIES, location.key("columns"))
         if source not in table.header:
-            field, remedy = location.key("columns").key(name), ", ".join(table.header)
+            field, remedy = location.path("columns", name), ", ".join(table.header)
             problem = "the file has no such column"
             raise field.error(problem, f"the file has {remedy}", source)
     stems = {name.rpartition("_")[0] for name in columns}
@@ -193,8 +193,7 @@ def _angle_of_time(time: Array, circle: CircleFacts) -> Array:
     if circle.feed_mm_min is None:
         raise (
             Location("--map")
-            .key("circle")
-            .key("feed_mm_min")
+            .path("circle", "feed_mm_min")
             .error(
                 "missing", "a trace over time needs the feed, start_deg and direction"
             )
@@ -538,7 +537,7 @@ def _tables_of(
         yield tables[k]
     for i, name in enumerate(circles[k].files):
         if name not in by_name:
-            field, remedy = location.key("files").item(i), ", ".join(by_name)
+            field, remedy = location.path("files", i), ", ".join(by_name)
             raise field.error("this file is not imported", f"there are {remedy}", name)
         yield by_name[name]
 
@@ -597,9 +596,7 @@ def _setups(mapping: ColumnMap, location: Location) -> list[str]:
         name = circle.setup or _name(mapping.setup, mounting, mounted)
         if mounted.setdefault(name, mounting) != mounting:
             raise (
-                location.item(k)
-                .key("setup")
-                .error(
+                location.path(k, "setup").error(
                     "another circle of this set-up has its cup or bar elsewhere",
                     "give the same cup_mm and length_mm, or another set-up",
                     name,

@@ -26,7 +26,7 @@ def expanded(mapping: ColumnMap, location: Location) -> ColumnMap:
     """The map with one entry a column, plain ones as their name. Raises InputError."""
     columns: dict[str, str | ColumnSource] = {}
     for name, entry in mapping.columns.items():
-        field = location.key("columns").key(name)
+        field = location.path("columns", name)
         for single, source in _singles(name, source_of(entry), field):
             if single in columns:
                 raise field.error(f"{single} is given twice", "remove one of the two")

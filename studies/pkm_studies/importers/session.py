@@ -116,7 +116,7 @@ def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     machine = study_machine(study)
     setups = {}
     for i, table in enumerate(study.setup):
-        field = study.location.key("setup").item(i).key("instrument")
+        field = study.location.path("setup", i, "instrument")
         listed: Instrument = catalogue.instrument(table.instrument, study.origin, field)
         setups[table.name] = listed.for_machine(machine)
     return lambda header: readings_comments(machine, setups, header)

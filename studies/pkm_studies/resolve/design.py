@@ -96,13 +96,9 @@ def _limits(
             cones.append(None)
             continue
         if not any(cone.axis):
-            raise (
-                location.key(key)
-                .key("axis")
-                .error(
-                    "a cone needs an axis that is not zero",
-                    "give a direction, as [0, 0, 1]",
-                )
+            raise location.path(key, "axis").error(
+                "a cone needs an axis that is not zero",
+                "give a direction, as [0, 0, 1]",
             )
         cones.append((cone.axis, math.radians(cone.half_angle_deg)))
     obstacles = []
@@ -177,7 +173,7 @@ def candidates(
     warnings: list[str] = []
     location = study.location.key("design")
     for i, table in enumerate(study.design.candidates):
-        field = location.key("candidates").item(i)
+        field = location.path("candidates", i)
         known_name(table.setup, measurement.setups, field.key("setup"))
         series, lost = grids.grid_series(table, measurement, field, strict=False)
         if lost:
@@ -251,7 +247,7 @@ def references(study: Study, measurement: Measurement) -> tuple[ReferencePlan, .
     tables = study.design.reference if study.design else []
     plans: dict[str, list[Series]] = {}
     for i, table in enumerate(tables):
-        location = study.location.key("design").key("reference").item(i)
+        location = study.location.path("design", "reference", i)
         known_name(table.setup, measurement.setups, location.key("setup"))
         series, _ = grids.grid_series(table, measurement, location, strict=True)
         plans.setdefault(table.name, []).append(series)
@@ -271,7 +267,7 @@ def circles(
 
     plans  reference plans, one of which may be read as well
     """
-    location = study.location.key("kappa").item(i)
+    location = study.location.path("kappa", i)
     setups = [s.name for s in study.setup]
     name = known_name(table.setup, setups, location.key("setup"))
     further = _further(table, plans, location)
@@ -385,7 +381,7 @@ def quota_set(
     quota_set = QuotaSet((), size)
     places = []
     for i, quota in enumerate(table.quota):
-        field_location = location.key("quota").item(i)
+        field_location = location.path("quota", i)
         members = _members(quota, measurement, candidates, groups, field_location)
         least, most = _numbers(quota, size, field_location)
         name = quota.name or f"quota {i + 1}"
@@ -435,13 +431,9 @@ def _checked_size(table: DesignTable, location: Location) -> int:
     polished = table.polish is not None and table.polish.enabled
     for i, quota in enumerate(table.quota):
         if polished and quota.coordinates:
-            raise (
-                location.key("quota")
-                .item(i)
-                .error(
-                    "polishing moves the poses out of the ranges of a quota",
-                    "leave polishing out, or select by setups and runs",
-                )
+            raise location.path("quota", i).error(
+                "polishing moves the poses out of the ranges of a quota",
+                "leave polishing out, or select by setups and runs",
             )
     return table.size
 
@@ -481,7 +473,7 @@ def _members(
     """Which candidates (C,) a quota selects."""
     setups = [series.setup for series in candidates]
     for i, name in enumerate(quota.setups):
-        known_name(name, setups, location.key("setups").item(i))
+        known_name(name, setups, location.path("setups", i))
     _check_runs(quota, groups, location.key("runs"))
     inside = _is_within_ranges(quota, measurement.machine, candidates, location)
     members = np.zeros(len(groups), dtype=bool)
@@ -624,9 +616,7 @@ def design_request(
         accuracy=_accuracy(table, measurement, location.key("accuracy")),
         least_distance=_least_distance(table, measurement, location.key("apart")),
         retained=_retained(study, table, measurement, references, location),
-        free_ranges=_free_ranges(
-            table, measurement, location.key("polish").key("free")
-        ),
+        free_ranges=_free_ranges(table, measurement, location.path("polish", "free")),
         quotas=quota_set(table, measurement, candidates, location),
     )
 
@@ -666,10 +656,10 @@ def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
 
 def _check_criteria(study: Study, table: DesignTable, location: Location) -> None:
     for name in table.compound:
-        field_location = location.key("compound").key(name)
+        field_location = location.path("compound", name)
         known_name(name, CRITERIA.plan_names, field_location, "criterion")
     for i, name in enumerate(table.compare):
-        field_location = location.key("compare").item(i)
+        field_location = location.path("compare", i)
         known_name(name, CRITERIA.plan_names, field_location, "criterion")
     if table.compound and table.criterion != "D":
         raise location.key("compound").error(

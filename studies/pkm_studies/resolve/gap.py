@@ -152,10 +152,8 @@ class ActingEffect:
 
     def unknown_coefficient(self, name: str, allowed: Sequence[str]) -> InputError:
         """The error for a coefficient that the effect does not have on this machine."""
-        return (
-            self.location.key("coefficients")
-            .key(name)
-            .error("the effect has no such coefficient here", suggest(name, allowed))
+        return self.location.path("coefficients", name).error(
+            "the effect has no such coefficient here", suggest(name, allowed)
         )
 
 
@@ -313,7 +311,7 @@ class GapRequest:
                 "gravity has no direction", "give where it pulls: [0, 0, -1]"
             )
         acting = [
-            _acting_effect(study, entry, machine, location.key("acting").item(i))
+            _acting_effect(study, entry, machine, location.path("acting", i))
             for i, entry in enumerate(table.acting)
         ]
         return cls(
@@ -339,7 +337,7 @@ def _tried_effects(
     effects: dict[str, Effect] = {}
     named: set[str] = set()
     for i, entry in enumerate(table.effects):
-        field = location.key("effects").item(i)
+        field = location.path("effects", i)
         names = [entry]
         if entry == ALL:
             names = [e.name for e in catalogue.listing("effects")]
@@ -350,7 +348,7 @@ def _tried_effects(
                 named.add(effect.name)
     for i, name in enumerate(table.without):
         if name not in effects:
-            field = location.key("without").item(i)
+            field = location.path("without", i)
             raise field.error("no such effect is tried", suggest(name, effects), name)
     check_sizes(study, effects.values())
     instruments = _instruments(study)
@@ -371,7 +369,7 @@ def _instruments(study: Study) -> list[str]:
     field = study.location.key("setup")
     return [
         catalogue.instrument(
-            table.instrument, study.origin, field.item(i).key("instrument")
+            table.instrument, study.origin, field.path(i, "instrument")
         ).name
         for i, table in enumerate(study.setup)
     ]
@@ -390,7 +388,7 @@ def _acting_effect(
         )
     for name in table.constants:
         if name not in effect.constants:
-            field = location.key("constants").key(name)
+            field = location.path("constants", name)
             raise field.error("no such constant", suggest(name, effect.constants))
     return ActingEffect(
         effect=effect_with_sizes(effect, study),
@@ -535,7 +533,7 @@ class GapDesignRequest:
                 "add [[design.reference]] plans with `runs_by`",
             )
         for i, name in enumerate(table.candidates):
-            known_name(name, plans, location.key("candidates").item(i), "plan")
+            known_name(name, plans, location.path("candidates", i), "plan")
         if table.keep is not None:
             known_name(table.keep, plans, location.key("keep"), "plan")
         if table.keep is not None and table.keep in table.candidates:
@@ -670,7 +668,7 @@ def gap_design_request(
     if study.gap is None or study.gap.design is None:
         return None
     table = study.gap.design
-    location = study.location.key("gap").key("design")
+    location = study.location.path("gap", "design")
     timing = study.gap.conditions
     plans = {plan.name: plan for plan in references}
     wanted = _effects(study, table.find, measurement, location.key("find"))

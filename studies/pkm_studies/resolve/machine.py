@@ -137,7 +137,7 @@ def add_adjustments(
     fixed = machine.frame if table.fixed is None else ()
     adjustments: dict[str, Adjustment] = {}
     for i, entry in enumerate(table.adjust):
-        field = location.key("adjust").item(i)
+        field = location.path("adjust", i)
         adjustments |= _adjustment(entry, machine, fixed, field)
     parameters = tuple(
         dataclasses.replace(p, adjust=adjustments.get(p.name))
@@ -357,7 +357,7 @@ def _replace_ranges(table: MachineTable, model: Machine, location: Location) -> 
         low, high = (quantities.format_as(end, unit, key) for end in ends)
         problem = f"home has {name} = {value}, outside the workspace"
         remedy = f"state a home pose inside: {name} goes from {low} to {high}"
-        raise location.key("home").key(key).error(problem, remedy)
+        raise location.path("home", key).error(problem, remedy)
     return machine
 
 

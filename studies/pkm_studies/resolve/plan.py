@@ -103,7 +103,7 @@ def request_of_table(
     _check_sequences(table, location)
     finished = set(done)
     open_tables = {
-        t.name: (t, location.key("measurement").item(i))
+        t.name: (t, location.path("measurement", i))
         for i, t in enumerate(table.measurement)
         if not set(t.mounted) & finished
     }
@@ -156,7 +156,7 @@ def _effects(
     """
     if table.effects == NO_EFFECTS or not tables:
         return None
-    location = study.location.key("plan").key("effects")
+    location = study.location.path("plan", "effects")
     if table.virtual_machines:
         raise location.error(
             "virtual machines of a plan have no effects",
@@ -187,7 +187,7 @@ def _reserved_seconds(study: Study, available: float) -> float:
     if design is None or design.keep != PLAN or design.budget_min is None:
         return 0.0
     if design.budget_min >= available:
-        location = study.location.key("gap").key("design").key("budget_min")
+        location = study.location.path("gap", "design", "budget_min")
         problem = (
             f"the plan has {available:g} min in all, so no time remains for accuracy"
         )
@@ -209,7 +209,7 @@ def _check_names(table: PlanTable, location: Location, setups: Sequence[str]) ->
     names: set[str] = set()
     owners: dict[str, str] = {}
     for i, measured in enumerate(table.measurement):
-        entry = location.key("measurement").item(i)
+        entry = location.path("measurement", i)
         if measured.name in names:
             raise entry.key("name").error(
                 "used twice", "give each measurement its own name", measured.name
@@ -248,7 +248,7 @@ def _check_sequences(table: PlanTable, location: Location) -> None:
     """Check the sequences to compare: known measurements, each named once."""
     names = [measured.name for measured in table.measurement]
     for i, sequence in enumerate(table.compare):
-        entry = location.key("compare").item(i)
+        entry = location.path("compare", i)
         for j, name in enumerate(sequence):
             known_name(name, names, entry.item(j), "measurement")
         if len(set(sequence)) < len(sequence):

@@ -73,7 +73,7 @@ def check_reach(
     location = study.location.key("prediction")
     for number, length in enumerate([0.0, *request.table.tools]):
         tool = np.array([0.0, 0.0, length * units.MM])
-        field = location.key("tools_mm").item(number - 1) if number else location
+        field = location.path("tools_mm", number - 1) if number else location
         try:
             kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
         except AssemblyError as error:
@@ -86,22 +86,18 @@ def check_states(study: Study, covariates: pd.DataFrame) -> None:
     states = {} if study.prediction is None else _states(study)
     for name in states:
         if name not in covariates or covariates[name].isna().all():
-            raise (
-                study.location.key("prediction")
-                .key("states")
-                .error(
-                    "no reading was taken at a recorded value of it, so that nothing is known"
-                    " of what it does",
-                    "record it in the readings, or leave it out",
-                    _column(name),
-                )
+            raise study.location.path("prediction", "states").error(
+                "no reading was taken at a recorded value of it, so that nothing is known"
+                " of what it does",
+                "record it in the readings, or leave it out",
+                _column(name),
             )
 
 
 def _states(study: Study) -> dict[str, Array]:
     """Values of the covariates in `states`, SI, by stem. Raises InputError."""
     states = {} if study.prediction is None else study.prediction.states
-    location = study.location.key("prediction").key("states")
+    location = study.location.path("prediction", "states")
     if states and study.identify.effects == "none":
         raise location.error(
             "only effects differ by the state of the machine",
@@ -163,7 +159,7 @@ def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
     if study.prediction is None:
         return {}
     unit_of = {c.name: c.unit for c in machine.components}
-    location = study.location.key("prediction").key("wanted")
+    location = study.location.path("prediction", "wanted")
     return quantities.read_values(study.prediction.wanted, unit_of, location)
 
 

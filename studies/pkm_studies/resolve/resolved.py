@@ -113,7 +113,7 @@ def reading_roles(
     fit, predict = study.readings.fit, study.readings.predict
     for field, names in (("fit", fit or []), ("predict", predict)):
         for i, name in enumerate(names):
-            known_name(name, setups, location.key(field).item(i))
+            known_name(name, setups, location.path(field, i))
     both = set(fit or ()) & set(predict)
     if both:
         raise location.key("predict").error(
@@ -133,7 +133,7 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
     """
     if study.readings is None:
         return {}
-    location = study.location.key("readings").key("truth")
+    location = study.location.path("readings", "truth")
     common, special = quantities.split_tables(study.readings.truth)
     unit_of = {p.name: p.unit for p in measurement.parameters}
     truth = quantities.read_values(common, unit_of, location)
@@ -148,7 +148,7 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
 
 def check_stages(study: Study, measurement: Measurement) -> None:
     """Raises InputError for an identification stage that frees no parameter."""
-    location = study.location.key("identify").key("stages")
+    location = study.location.path("identify", "stages")
     for i, stage in enumerate(study.identify.stages):
         if not matching_names(stage, measurement.names, location.item(i)):
             raise location.item(i).error(
@@ -169,7 +169,7 @@ def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
     """
     prior = study.prior
     location = study.location.key("prior")
-    named = [(location.key("from").item(i), name) for i, name in enumerate(prior.from_)]
+    named = [(location.path("from", i), name) for i, name in enumerate(prior.from_)]
     if prior.earlier is not None:
         named.append((location.key("earlier"), prior.earlier))
     for field, name in named:
@@ -215,15 +215,11 @@ def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:
         setups[table.name] = setup
         first = stations.setdefault(setup.owner, setup)
         if first.nuisances != setup.nuisances or table.station in setups:
-            raise (
-                location.item(i)
-                .key("station")
-                .error(
-                    "no station of these set-ups",
-                    "give all that share it one instrument and the same tolerances, and a"
-                    " name that no set-up has",
-                    table.station,
-                )
+            raise location.path(i, "station").error(
+                "no station of these set-ups",
+                "give all that share it one instrument and the same tolerances, and a"
+                " name that no set-up has",
+                table.station,
             )
     return setups
 
@@ -372,7 +368,7 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
     name = study.machine.controller
     if name is None:
         return kinematics
-    location = study.location.key("machine").key("controller")
+    location = study.location.path("machine", "controller")
     path = study.folder / name
     machine = kinematics.machine
     if not path.is_file():
@@ -592,7 +588,7 @@ class ResolvedStudy:
         Raises InputError for a name that is no effect of the study.
         """
         request, names = self.gap_or_default, self.study.identify.effects
-        location = self.study.location.key("identify").key("effects")
+        location = self.study.location.path("identify", "effects")
         named = request.named_effects(names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
 
@@ -687,7 +683,7 @@ class ResolvedStudy:
         }
         for key, table in tables.items():
             if table is not None and table.effects is not None:
-                location = self.study.location.key(key).key("effects")
+                location = self.study.location.path(key, "effects")
                 self.gap_or_default.named_effects(table.effects, location)
 
     @property
@@ -758,14 +754,10 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
 def _check_free(study: Study, everything: Measurement) -> None:
     """Raises InputError where no parameter of machine and set-ups is free."""
     if not everything.free.any():
-        raise (
-            study.location.key("machine")
-            .key("fixed")
-            .error(
-                "every parameter is fixed: nothing is left to identify",
-                "leave the ones that the readings are to say",
-                study.machine.fixed,
-            )
+        raise study.location.path("machine", "fixed").error(
+            "every parameter is fixed: nothing is left to identify",
+            "leave the ones that the readings are to say",
+            study.machine.fixed,
         )
 
 

@@ -358,7 +358,7 @@ def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str,
 
 def _prior_tolerances(study: Study, names: Mapping[str, str]) -> dict[str, float]:
     """Standard deviations, SI, by parameter; later tables of [prior] win."""
-    location = study.location.key("prior").key("tolerance")
+    location = study.location.path("prior", "tolerance")
     tolerances: dict[str, float] = {}
     for i, table in enumerate(study.prior.tolerance):
         tolerances |= _matching_tolerances(table, names, location.item(i))
@@ -397,7 +397,7 @@ def check_not_negative(value: float, location: Location) -> None:
 def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None:
     if study.machine.fixed is None:
         return None
-    location = study.location.key("machine").key("fixed")
+    location = study.location.path("machine", "fixed")
     return set(matching_names(study.machine.fixed, names, location))
 
 
@@ -409,7 +409,7 @@ def with_bounds(study: Study, machine: Machine) -> Machine:
     """
     if not study.prior.bounds:
         return machine
-    location = study.location.key("prior").key("bounds")
+    location = study.location.path("prior", "bounds")
     for i, table in enumerate(study.prior.bounds):
         machine = _bounded(machine, table, location.item(i))
     shares = [_share(machine, k) for k in range(len(machine.parameters))]
@@ -471,7 +471,7 @@ def add_correlation(study: Study, machine: Machine) -> Machine:
     tables = study.prior.correlated
     if not tables:
         return machine
-    location = study.location.key("prior").key("correlated")
+    location = study.location.path("prior", "correlated")
     if study.plan is not None:
         raise location.error(
             "the planner of [plan] takes tolerances as independent",

@@ -124,7 +124,7 @@ def effects_at(
         measurement,
         [*taken, *resolved.candidates],
         state.study.identify.fitted_effects,
-        state.study.location.key("identify").key("effects"),
+        state.study.location.path("identify", "effects"),
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),
     )
@@ -496,7 +496,7 @@ def _limits(
     if not wanted:
         if study.design is not None and study.design.how_many is not None:
             table = study.design.how_many.wanted
-            location = study.location.key("design").key("how_many").key("wanted")
+            location = study.location.path("design", "how_many", "wanted")
             unit_of = {c.name: c.unit for c in machine.components}
             values = quantities.read_values(table, unit_of, location)
         values |= state.resolved.wanted_accuracy

@@ -164,14 +164,8 @@ def forecast_task(
     location = study.location.key("forecast")
     reference = where.table.reference
     if reference == "best_fit":
-        raise (
-            study.location.key("prediction")
-            .key("reference")
-            .error(
-                "a table cannot align the machine",
-                'give "home" or "absolute"',
-                reference,
-            )
+        raise study.location.path("prediction", "reference").error(
+            "a table cannot align the machine", 'give "home" or "absolute"', reference
         )
     kinematics = resolved.measurement.kinematics
     axes = GridAxis.box_axes(kinematics.machine, where.command)

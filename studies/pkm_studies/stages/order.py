@@ -188,13 +188,9 @@ def planned(
     state = RunState.start(study, seed, progress, [])
     request = state.resolved.plan
     if request is None:
-        raise (
-            study.location.key("plan")
-            .key("measurement")
-            .error(
-                "the study lists no measurement to plan with",
-                "add [[plan.measurement]] tables",
-            )
+        raise study.location.path("plan", "measurement").error(
+            "the study lists no measurement to plan with",
+            "add [[plan.measurement]] tables",
         )
     earlier = None
     if after is not None:

@@ -132,7 +132,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
     try:
         return _simulated(state, series)
     except AssemblyError as error:
-        location = state.study.location.key("readings").key("truth")
+        location = state.study.location.path("readings", "truth")
         raise location.error(
             f"the virtual machine cannot be assembled at {error.indices.size} of the"
             " poses",

@@ -132,11 +132,11 @@ def _check_tables(study: StudyFile, location: Location) -> None:
     names = [s.name for s in study.setup]
     for i, name in enumerate(names):
         if name in names[:i]:
-            field = location.key("setup").item(i).key("name")
+            field = location.path("setup", i, "name")
             raise field.error("used twice", "give each set-up its own name", name)
     for name, claim in study.expect.items():
         if (claim.equals, claim.min, claim.max, claim.contains) == (None,) * 4:
-            field = location.key("expect").key(name)
+            field = location.path("expect", name)
             raise field.error("claims nothing", "add equals, min, max or contains")
     if study.readings is not None:
         _check_readings(study.readings, location.key("readings"))

@@ -93,7 +93,7 @@ def check_reference(resolved: ResolvedStudy) -> None:
     table = resolved.study.design
     if table is None or table.order.reference_every_min is None:
         return
-    location = resolved.study.location.key("design").key("order")
+    location = resolved.study.location.path("design", "order")
     for name in dict.fromkeys(s.setup for s in resolved.candidates):
         every = table.order.reference_every_min
         reference_command(resolved.measurement, name, table.order, every, location)

@@ -247,7 +247,7 @@ def _free_ranges(
     for name in ranges:
         if name in fixed:
             problem = f"the retained readings of {name} were taken where it stands"
-            field = location.key("free").key(name)
+            field = location.path("free", name)
             raise field.error(problem, "move another set-up")
     used = {s.setup for s in series}
     return {name: limits for name, limits in ranges.items() if name in used}
@@ -295,7 +295,7 @@ def accuracy_by_size(search: DesignSearch, chosen: Choice) -> HowManySummary | N
     if table is None:
         return None
     components = {x.name: x.unit for x in criteria.resolved.machine.components}
-    location = criteria.location.key("how_many").key("wanted")
+    location = criteria.location.path("how_many", "wanted")
     wanted = quantities.read_values(table.wanted, components, location)
     scale = wanted or _reached_accuracy(search, chosen)
     names, factors = _factors(search, scale)
@@ -408,13 +408,9 @@ def choose_robust(
             criterion, nominal, scenarios, rng, risk=table.risk, tail_share=table.level
         )
     except ValueError as error:
-        raise (
-            search.criteria.location.key("robust")
-            .key("risk")
-            .error(
-                str(error),
-                f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
-            )
+        raise search.criteria.location.path("robust", "risk").error(
+            str(error),
+            f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
         ) from error
 
 
@@ -438,7 +434,7 @@ def _scenarios(search: DesignSearch, count: int, rng: np.random.Generator) -> Ar
         except AssemblyError as error:
             failures += 1
             if failures > MAX_MACHINE_DRAWS * count:
-                location = search.criteria.location.key("robust").key("scenarios")
+                location = search.criteria.location.path("robust", "scenarios")
                 raise location.error(
                     f"machines within the tolerances cannot reach all candidates: {error}",
                     "narrow the candidates, or the tolerances",
@@ -689,7 +685,7 @@ def allowed_effects(
         resolved.measurement,
         resolved.candidates,
         table.effects,
-        resolved.study.location.key("design").key("effects"),
+        resolved.study.location.path("design", "effects"),
         check_allowed(resolved),
         rng,
     )
@@ -709,7 +705,7 @@ def chosen_size(resolved: ResolvedStudy) -> float:
 
 def check_allowed(resolved: ResolvedStudy) -> PredictionRequest:
     """Where accuracy counts. Raises InputError where a design can allow for no effect."""
-    location = resolved.study.location.key("design").key("effects")
+    location = resolved.study.location.path("design", "effects")
     criteria = StudyCriteria(resolved)
     table = criteria.table
     reasons = {
@@ -775,7 +771,7 @@ def recording(
     if resolved.prediction is None or criteria.effects is None:
         return None
     gap = resolved.gap_or_default
-    location = resolved.study.location.key("design").key("effects")
+    location = resolved.study.location.path("design", "effects")
     return recording_section(
         PlanToRecord(
             measurement=measurement,
