@@ -11,13 +11,7 @@ from pkm_reports.sections import comparison_parts
 def write_comparison(
     results: Mapping[str, StudyResult], out: Path, changes: Sequence[str] = ()
 ) -> tuple[Path, ...]:
-    """Write `comparison.html` and `comparison.pdf` of results by name; their paths.
-
-    changes    what changed between two sessions of one machine, in sentences
-
-    Raises ValueError for fewer than two results, OSError where the folder cannot be
-    written.
-    """
+    """Write HTML and PDF of results by name; their paths. Raises ValueError, OSError."""
     if len(results) < 2:
         raise ValueError("a comparison needs two results or more")
     return Document(content(results, changes)).write(out, "comparison")

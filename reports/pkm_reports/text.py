@@ -65,10 +65,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def drawn(value: float | None, error: float | None, digits: int = 3) -> str:
-    """A number of draws, with no more digits than its standard error allows.
-
-    The error is at most three units of the last digit.
-    """
+    """A number of draws, its standard error at most three units of the last digit."""
     x, e = or_nan(value), or_nan(error)
     if not math.isfinite(x) or not math.isfinite(e) or e <= 0.0 or x == 0.0:
         return number(value, digits)

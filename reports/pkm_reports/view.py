@@ -111,10 +111,7 @@ def _reading_circles(readings: Sequence[ViewReading]) -> list[Circle]:
 
 
 def angles_on_circle(points: Array) -> Array | None:
-    """Angles (n,), deg, of points (n, 3) about their circle; None where they form none.
-
-    The centre is that of the least-squares circle in the plane of the points.
-    """
+    """Angles (n,), deg, of points (n, 3) about their least-squares circle; None without."""
     if len(points) < MIN_CIRCLE_READINGS:
         return None
     offset = points - points.mean(axis=0)
@@ -336,10 +333,7 @@ class ReadingResiduals:
 def residuals_of_readings(
     result: StudyResult, drawing: Drawing
 ) -> list[list[ReadingResiduals]]:
-    """For each tool point its channels' residuals; empty lists where they do not match.
-
-    A set-up has one noise for each channel, so that their number is known.
-    """
+    """For each tool point its channels' residuals; empty lists where they do not match."""
     estimate = result.estimate
     count = len(drawing.tool_points)
     nothing: list[list[ReadingResiduals]] = [[] for _ in range(count)]

@@ -45,10 +45,7 @@ class Case:
 
 
 def evaluate(case: Case) -> dict[str, Any]:
-    """The row of a case: its setting and seed, its figures, processor time in s.
-
-    A case that cannot be fitted or assembled has its reason in `error`, and no figures.
-    """
+    """The row of a case: setting, seed, figures or `error`, processor time in s."""
     row: dict[str, Any] = {**case.setting, SEED: case.seed, ERROR: ""}
     begin = time.process_time()
     try:
@@ -118,10 +115,7 @@ class CaseFunction:
     function: UserFunction
 
     def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
-        """The figures, as JSON holds them.
-
-        Raises CaseFunctionError, and the failures of a case as they are.
-        """
+        """The figures, as JSON holds them. Raises CaseFunctionError, and failures of a case."""
         try:
             figures = self.function.load("case")(setting, seed)
         except EXPECTED:

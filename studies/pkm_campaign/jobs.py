@@ -134,10 +134,7 @@ def _stretches(items: Sequence[Item], count: int) -> list[Sequence[Item]]:
 
 
 def _end_with_parent() -> None:
-    """End this process with the one that started it, even where that is killed.
-
-    Otherwise it would wait for work without end.
-    """
+    """End this process with the one that started it, even where that is killed."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -290,10 +287,7 @@ def read_row(path: Path) -> Row:
 def is_done(
     path: Path, done_setting: Mapping[str, Any], required: Sequence[str]
 ) -> bool:
-    """Whether a file has the whole row of a job, with values that are known before.
-
-    required  names of further values
-    """
+    """Whether a file has the whole row of a job with values known before and `required`."""
     try:
         row = read_row(path)
     except (OSError, ValueError, RecursionError):

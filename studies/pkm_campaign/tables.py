@@ -83,10 +83,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return range(self.first_seed, self.first_seed + self.seeds)
 
     def words(self, setting: Mapping[str, Any]) -> str:
-        """A combination in words; fields with a single value in all go without saying.
-
-        Fields go by the last part of their address, where it is theirs alone.
-        """
+        """A combination in words, by last parts of addresses; without fields of one value."""
         varied = [field for field, values in self.vary.items() if len(values) > 1]
         short = [field.rpartition(".")[2] for field in varied]
         names = short if len(set(short)) == len(short) else varied
@@ -95,10 +92,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return ", ".join(parts) or "as it is"
 
     def first(self, seeds: int) -> Campaign:
-        """The campaign with the first so many cases of each combination.
-
-        Raises InputError for more than it has.
-        """
+        """The campaign with the first so many cases of each. Raises InputError for more."""
         if seeds > self.seeds:
             raise self.location.key("seeds").error(
                 f"{self.seeds} cases of each combination, and --seeds {seeds}",
@@ -120,10 +114,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return UserFunction(reference, origin, str(self.path))
 
     def study_with(self, setting: Mapping[str, Any]) -> Study:
-        """The study with other values of some fields.
-
-        Raises InputError, and LookupError for a campaign of a function.
-        """
+        """The study with other values of fields. Raises InputError, LookupError."""
         if self.varied is None:
             raise LookupError("a campaign of a function varies no study")
         return self.varied.vary_setting(setting, self.location.key("vary"))

@@ -44,10 +44,7 @@ class VirtualMachine:
     consent: Consent
 
     def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
-        """The figures of the machine of this seed.
-
-        Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
-        """
+        """The figures of the machine of this seed. Raises what a fit raises."""
         state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
         fitted, truth, effects = virtual_fit(state)
         figures = _fit_figures(fitted, truth)

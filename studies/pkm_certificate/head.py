@@ -106,10 +106,7 @@ class HeadFile(StudyTable, frozen=True, kw_only=True):
 
 
 def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
-    """The head, and tolerances as they stand there. Raises InputError.
-
-    Where the file is absent, it is written with empty texts to fill in.
-    """
+    """The head, and tolerances as written; an absent file is made. Raises InputError."""
     location = Location(str(path))
     if not path.exists() and path.parent.is_dir():
         files.write_whole(path, TEMPLATE)

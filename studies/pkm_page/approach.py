@@ -57,10 +57,7 @@ def next_approach(
     setup: Setup,
     effects: tuple[str, ...],
 ) -> Approach | None:
-    """The side that the set-up's readings have less often; None where none matters.
-
-    None too where the mean of both directions is the reading.
-    """
+    """The side that readings have less often; None where none, or the mean, matters."""
     protocol = setup.protocol
     if protocol.both_directions and protocol.average:
         return None

@@ -176,10 +176,7 @@ def _existing(source: str) -> Path:
 
 
 def _file_lines(path: Path, is_table: bool) -> Iterator[str]:
-    """Lines that begin and end in a file from now on, or in files new in a folder.
-
-    Of a table, each row with its header above it.
-    """
+    """Whole lines of a file, or of new files, from now on; of a table below its header."""
     lengths = {file: file.stat().st_size for file in _files(path)}
     while True:
         for file in _files(path):

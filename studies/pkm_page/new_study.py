@@ -184,10 +184,7 @@ class StudyForm:
 
 
 def _size_field(dimension: Dimension, count: int) -> SizeField:
-    """The table of a size: as many cells as it has numbers.
-
-    count  length of a list that may have any: that of the family's others
-    """
+    """The table of a size, of `count` numbers where the length is free."""
     unit = "" if dimension.unit == "1" else display_unit(dimension.unit)
     symbol = f" [{unit_symbol(unit)}]" if unit else ""
     cells = _cells(dimension, count)

@@ -143,10 +143,7 @@ class ReadingsLog:
         return parse(data)
 
     def write(self, base: str, content: FileContent) -> FileContent:
-        """Write a content that is based on a version, whole, and wait for the disk.
-
-        Raises StaleError where the file has another version by now.
-        """
+        """Write a content based on a version, whole, to the disk. Raises StaleError."""
         data = content.text.encode("utf-8")
         files.make_folder(self.path.parent)
         with _exclusive(self.path):

@@ -60,10 +60,7 @@ def acceptance_form(folder: Path) -> str:
 
 
 def judge_acceptance(folder: Path, text: str) -> list[str]:
-    """The verdict on a filled-in file, which is then stored beside the result.
-
-    Raises InputError for what cannot be judged; nothing is stored then.
-    """
+    """The verdict on a filled-in file, then stored. Raises InputError, and stores nothing."""
     with tempfile.TemporaryDirectory(prefix="oed-") as scratch:
         path = files.write_whole(Path(scratch) / ACCEPTANCE_FILE, text)
         try:
@@ -456,10 +453,7 @@ class PageOptions:
 
 
 def open_page(target: Path, options: PageOptions) -> tuple[MachinePage | None, Shelf]:
-    """The page of a study, of a result, or of a folder of results.
-
-    Raises InputError where the study cannot be measured by advice.
-    """
+    """The page of a study, a result or a folder of results. Raises InputError."""
     if target.is_dir() and not (target / RESULT).is_file():
         if options.readings is not None or options.source:
             raise InputError(

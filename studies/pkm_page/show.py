@@ -243,10 +243,7 @@ def pace(times: Array) -> float | None:
 
 
 def remaining(advice: Advice) -> int | None:
-    """Readings until the session ends, as the advice counts: 0 at its end.
-
-    None where the advice cannot say.
-    """
+    """Readings until the session ends, 0 at its end; None where the advice cannot say."""
     if advice.is_reached:
         return 0
     if advice.is_reached_by_geometry:

@@ -45,10 +45,7 @@ def probes_of(points: Iterable[ProbedPoint]) -> dict[str, Offset]:
 
 
 def contact_rows(points: Sequence[ProbedPoint], height: float) -> list[Row]:
-    """Rows of the readings file, each with the set-up of its probe.
-
-    height  mm, at which the probe triggers
-    """
+    """Rows of the readings file by set-up, for a probe that triggers at a height, mm."""
     setups = {offset: name for name, offset in probes_of(points).items()}
     return [
         contact_row(k, point, setups[point.probe], height)

@@ -181,10 +181,7 @@ def listed(values: Array) -> str:
 
 @np.errstate(all="ignore")
 def lower_heights(centres: Array, lengths: Array) -> Array:
-    """Heights (n,) of the lower points at lengths (3,) from centres (n, 3, 3).
-
-    NaN where no point is at these lengths.
-    """
+    """Heights (n,) of lower points, lengths (3,) from centres (n, 3, 3); NaN for none."""
     # |t - c_i|^2 = a_i^2: differences are linear in t, which leaves a line
     steps = 2.0 * (centres[:, 1:] - centres[:, :1])
     size = (centres**2).sum(axis=2) - lengths**2

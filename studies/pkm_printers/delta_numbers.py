@@ -25,13 +25,7 @@ ACCEPTED_LOSS = 0.02
 def delta_numbers(
     compensation: Compensation, name: str, *, by_tower: bool = False
 ) -> DeltaGeometry:
-    """The identified delta, for the firmware of this name.
-
-    by_tower  whether the firmware takes a radius for each tower
-
-    Raises InputError where a delta has radii or tilts of its towers that the firmware does
-    not hold.
-    """
+    """The delta for a firmware of radii `by_tower` or one. Raises InputError for others."""
 
     def read(stem: str, unit: str) -> Array:
         values = [compensation.parameter(f"{stem}{i}") for i in TOWERS]

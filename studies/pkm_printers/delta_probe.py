@@ -161,10 +161,7 @@ def _noise(spread: PooledSpread | None) -> str:
 def tilt_sentences(
     probes: Iterable[Offset], tilts: Sequence[str], geometry: PrinterGeometry
 ) -> list[str]:
-    """What becomes of the tilts of the effector, for probes (2,) from the nozzle.
-
-    tilts  that are fitted
-    """
+    """What becomes of the effector's tilts, of probes (2,); `tilts` are fitted."""
     if not any(map(any, probes)):
         return []
     if not geometry.tilting:

@@ -64,12 +64,7 @@ def factors(
     lines: Sequence[TextLine],
     parameters: Mapping[int, tuple[str, ...]] = delta_geometry.FACTORS,
 ) -> tuple[str, ...] | None:
-    """Parameters of the factors that a user wants fitted; None without.
-
-    parameters  by number of factors, as the firmware fits them
-
-    Raises InputError.
-    """
+    """Parameters by the number of factors wanted; None without. Raises InputError."""
     stated = _stated(lines, FACTORS)
     if stated is None:
         return None

@@ -88,10 +88,7 @@ class Command:
         return self.values(letter)[0]
 
     def values(self, letter: str, *counts: int) -> list[float]:
-        """Numbers of a word, separated by colons, as many as one of the counts.
-
-        Raises InputError.
-        """
+        """Numbers of a word, separated by colons, in one of the counts. Raises InputError."""
         line, cells = self.line_of(letter), self.words.get(letter, "").split(":")
         problem = ""
         if not cells[0]:
@@ -110,10 +107,7 @@ class Command:
 
 
 def read(paths: Sequence[Path]) -> list[TextLine]:
-    """Lines of the files, comments after ; cut off, in the order of time.
-
-    Raises InputError for times that rise and fall.
-    """
+    """Lines without comments, in the order of time. Raises InputError for jumps of it."""
     logs = []
     for path in paths:
         text = files.read_text(

@@ -212,10 +212,7 @@ def _anchor(anchors: Command, letter: str) -> list[float]:
 
 
 def _guy_wires(places: Array, spools: Command) -> Array:
-    """Lengths (n,) of the lines between spools and anchors, mm. Raises InputError.
-
-    Without Y the firmware takes all spools to be at the last anchor.
-    """
+    """Lengths (n,) of lines from spools, or the last anchor, mm. Raises InputError."""
     if "Y" in spools.words and min(spools.values("Y", len(places))) >= 0.0:
         return np.array(spools.values("Y"))
     return np.asarray(np.linalg.norm(places - places[-1], axis=1))

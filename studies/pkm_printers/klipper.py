@@ -190,10 +190,7 @@ def _gear_ratio(config: KlipperConfig, stepper: str) -> float:
 
 
 def linear_geometry(config: KlipperConfig) -> DeltaGeometry:
-    """The geometry in use; towers b and c take what they do not say from tower a.
-
-    Raises InputError.
-    """
+    """The geometry in use; towers b and c default to tower a. Raises InputError."""
     arm = config.positive(STEPPERS[0], "arm_length")
     stop = config.number(STEPPERS[0], "position_endstop")
     trim = config.number(STEPPERS[0], RADIUS_OFFSET, 0.0)
@@ -258,10 +255,7 @@ def _check_partners(config: KlipperConfig) -> None:
 def _positions(
     config: KlipperConfig, steps: list[float]
 ) -> dict[str, tuple[Entry, list[float], float]]:
-    """Saved positions by option: travels (3,), and the height of the tool, mm.
-
-    Distances are measured on the bed.
-    """
+    """Saved positions by option: travels (3,) and height over the bed, mm."""
     positions = {}
     for section, key in config.entries:
         match = POSITION.fullmatch(key) if section == SAVED else None

@@ -26,10 +26,7 @@ BED_TILT = (
 
 
 def write(compensation: Compensation) -> Texts:
-    """The options that calibration changes, with Klipper's own six decimals.
-
-    A printer whose file has trims of the radii takes a radius for each tower.
-    """
+    """The options that calibration changes, with Klipper's six decimals and trims."""
     by_tower = bool(trims(compensation, NAME, "radius_trim_mm").any())
     numbers = delta_numbers(compensation, NAME, by_tower=by_tower)
     lines = [f"# {sentence}" for sentence in compensation.comments]

@@ -55,10 +55,7 @@ WHERE: Final = (
 
 
 def rotary_geometry(config: KlipperConfig) -> RotaryGeometry:
-    """The geometry in use; limbs b and c take what they do not say from limb a.
-
-    Raises InputError.
-    """
+    """The geometry in use; limbs b and c default to limb a. Raises InputError."""
 
     def lengths(option: str) -> Array:
         first = config.positive(STEPPERS[0], option)

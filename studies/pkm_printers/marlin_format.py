@@ -126,10 +126,7 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
 
 
 def _numbers(compensation: Compensation) -> tuple[DeltaGeometry, Array]:
-    """The delta, and its rods (3,) without the trims that are compiled in, mm.
-
-    Raises InputError, also for versions whose M665 has no H and no tower angles.
-    """
+    """The delta, and its rods (3,) less compiled-in trims, mm. Raises InputError."""
     firmware = firmware_of(compensation, NAME)
     version = None if firmware is None else firmware.version
     if marlin_version.possible_rules(version).agreed("has_height") is False:
@@ -144,10 +141,7 @@ def _numbers(compensation: Compensation) -> tuple[DeltaGeometry, Array]:
 
 
 def _target(compensation: Compensation, rods: Array) -> _Target:
-    """The firmware that is written for.
-
-    Raises InputError for rods (3,) of several lengths where M665 has one.
-    """
+    """The firmware that is written for. Raises InputError for several rods (3,) on one L."""
     firmware = firmware_of(compensation, NAME)
     rules = _rules(firmware)
     b: MeaningOfB | None = None if firmware is None else rules.agreed("b")

@@ -463,10 +463,7 @@ def probing(
     numbers: Mapping[str, tuple[float, ...]],
     rules: PossibleRules,
 ) -> Probing:
-    """Contacts that were probed with the last geometry. Raises InputError.
-
-    numbers  numbers of lines that a user added
-    """
+    """Contacts probed with the last geometry and added numbers. Raises InputError."""
     scan = _Scan(rules)
     for number, line in enumerate(lines):
         scan.take(line, number)

@@ -173,10 +173,7 @@ importer = MaslowImporter()
 
 
 def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
-    """Values of the machine, with what raises the error about each.
-
-    Old keys of anchors are a group of their own where newer ones stand beside them.
-    """
+    """Values with what raises errors; old anchor keys beside newer ones are a group."""
     inside = _section_words(lines)
     phrases: list[WrittenWord] = []
     for line, is_new in zip(lines, inside, strict=True):

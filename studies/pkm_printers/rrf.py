@@ -220,10 +220,7 @@ def _command_text(line: TextLine) -> TextLine:
 
 
 def is_height_map(path: Path) -> bool:
-    """Whether a file is a height map: by its first line, or its name.
-
-    The firmware has no other CSV. A file that cannot be read is none.
-    """
+    """Whether a readable file is a height map: by its first line, or its name."""
     if path.suffix.lower() == ".csv":
         return True
     try:
@@ -234,10 +231,7 @@ def is_height_map(path: Path) -> bool:
 
 
 def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
-    """The probed nodes of a file. Raises InputError.
-
-    offset  of the probe from the nozzle, mm
-    """
+    """The probed nodes of a file at an offset of the probe. Raises InputError."""
     lines = files.read_text(
         path, limit=MAX_MESH_BYTES, what="height map", is_foreign=True
     ).splitlines()
@@ -356,10 +350,7 @@ class ProbePoint:
 def probed_points(
     order: ExecutionOrder, numbers: Mapping[str, tuple[float, ...]]
 ) -> tuple[list[ProbedPoint], list[str]]:
-    """Points with their heights, and sentences on what was taken. Raises InputError.
-
-    numbers  numbers of lines that a user added
-    """
+    """Points with heights and added numbers, and notes. Raises InputError."""
     lines = order.lines
     answers = [(line, HEIGHTS.search(line.text)) for line in lines]
     reports = [(line, match[1].split()) for line, match in answers if match]

@@ -69,10 +69,7 @@ class ExecutionOrder:
 
 
 def execution_order(lines: Sequence[TextLine], words: WordTable) -> ExecutionOrder:
-    """The lines of all files in order, their commands in capitals. Raises InputError.
-
-    words  of the commands, for what is part of the geometry
-    """
+    """The lines of all files in order, commands in capitals. Raises InputError."""
     files: dict[str, list[TextLine]] = {}
     for line in lines:
         files.setdefault(line.file, []).append(capitals(line))

@@ -21,11 +21,7 @@ RADII, TURNS, RODS = "ABC", "DEH", "IJK"
 
 
 def write(compensation: Compensation) -> Texts:
-    """Height at home Z, and trims of M666 of 0 and below.
-
-    A carriage at its switch counts as Z + M206 Z less its trim. Raises InputError for a bed
-    that leans.
-    """
+    """Z at home, and M666 trims below 0. Raises InputError for a bed that leans."""
     numbers = delta_numbers(compensation, NAME, by_tower=True)
     check_level(compensation, numbers, "Smoothieware")
     rod, height = float(numbers.arms.mean()), float(numbers.endstops.min())

@@ -120,10 +120,7 @@ class WordAccount:
 def account(
     written: Iterable[WrittenWord], others: Iterable[str], table: WordTable
 ) -> WordAccount:
-    """What becomes of each word. Raises InputError for a refused or unknown one.
-
-    others  all groups of the files, of which the table may lack some
-    """
+    """What becomes of each word among groups. Raises InputError for unknown ones."""
     read: dict[str, list[str]] = {}
     harmless: dict[str, list[str]] = {}
     costly: dict[str, dict[str, int]] = {}

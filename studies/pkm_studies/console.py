@@ -78,10 +78,7 @@ def print_on_error_stream(text: str) -> None:
 
 
 def is_about_output(error: OSError) -> bool:
-    """Whether an error says that the standard output cannot be written.
-
-    Errors about files state their names (`oed.safe_files`), those of streams none.
-    """
+    """Whether an error, which names no file, is about the standard output."""
     return error.filename is None and error.errno in DISK_ERRORS
 
 

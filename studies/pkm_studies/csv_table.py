@@ -66,10 +66,7 @@ class CsvTable:
         return [cells[column] for _, cells in self.lines]
 
     def numbers(self, name: str, *, gaps: bool = False) -> Array:
-        """Values (n,) of a column; with `gaps`, NaN where a cell is empty.
-
-        Raises InputError for the first cell that is no finite number.
-        """
+        """Values (n,) of a column; with `gaps`, NaN for empty cells. Raises InputError."""
         values = np.full(len(self), np.nan)
         for k, cell in enumerate(self.cells(name)):
             if gaps and not cell:

@@ -76,10 +76,7 @@ def make_folder(path: Path) -> Path:
 
 
 def check_writable(path: Path) -> None:
-    """Raises InputError where `path` cannot become a folder to write into.
-
-    Makes nothing.
-    """
+    """Raises InputError where `path` cannot become a folder to write into."""
     ancestors = (path, *path.absolute().parents)
     nearest = next(folder for folder in ancestors if folder.exists())
     if not nearest.is_dir():
@@ -122,10 +119,7 @@ def read_text(path: Path, *, limit: int, what: str, is_foreign: bool = False) ->
 
 
 def read_bytes(path: Path, *, limit: int, what: str) -> bytes:
-    """Content of a regular file of at most `limit` bytes.
-
-    Raises InputError, before reading where the file is too large.
-    """
+    """Content of a regular file; InputError before reading more than `limit` bytes."""
     file = str(path)
     if not path.exists():
         remedy = "check the name and the folder you are in"

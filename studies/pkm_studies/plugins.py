@@ -16,10 +16,7 @@ PROJECT = "pkm-oed"
 
 
 def project_plugins(kind: str) -> dict[str, EntryPoint]:
-    """Entry points of this project by name; no other package's metadata is read.
-
-    Raises InputError where the project's files are there without its metadata.
-    """
+    """Entry points of this project by name. Raises InputError where it is not installed."""
     try:
         points = metadata.distribution(PROJECT).entry_points
     except metadata.PackageNotFoundError as error:

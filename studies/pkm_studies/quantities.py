@@ -92,10 +92,7 @@ def format_value(value: float, si: str) -> str:
 
 
 def format_as(value: float, si: str, key: str) -> str:
-    """An SI value as text, in the unit of the field that states it (`z_um`).
-
-    In the usual unit where the field has none of this kind.
-    """
+    """An SI value as text in the unit of a field (`z_um`), or the usual one."""
     unit = key.rpartition("_")[2]
     if unit not in allowed_units(si) or unit == "1":
         return format_value(value, si)
@@ -103,10 +100,7 @@ def format_as(value: float, si: str, key: str) -> str:
 
 
 def component_values(text: str, option: str, machine: Machine) -> dict[str, float]:
-    """Positive values by component, SI, of `z_um=30,theta_arcsec=20`.
-
-    Raises InputError.
-    """
+    """Positive SI values by component of `z_um=30,theta_arcsec=20`. Raises InputError."""
     unit_of = {c.name: c.unit for c in machine.components}
     location = Location(option)
     values = {}

@@ -23,10 +23,7 @@ PAGES = ("report.html", "report.pdf", "measurement_sheet.pdf")
 
 
 def prepare(folder: Path) -> None:
-    """Make the folder of a result. Raises InputError where that is impossible.
-
-    Also where it has a result.json of another program.
-    """
+    """Make the folder of a result. Raises InputError; also for a foreign result.json."""
     files.make_folder(folder)
     written_before(folder)
 
@@ -122,10 +119,7 @@ def renamed_sentences(names: Mapping[str, str]) -> Iterator[str]:
 
 
 def set_aside_foreign(folder: Path) -> list[str]:
-    """Rename a result.json that is not as it was written; a sentence about it.
-
-    Results of versions that kept no list of their files are among these.
-    """
+    """Rename a result.json that is not as it was written; a sentence about it."""
     path = folder / RESULT
     if not path.exists() or safe_files.is_own(path):
         return []

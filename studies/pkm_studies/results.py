@@ -86,10 +86,7 @@ def _unit(result: Mapping[str, Any], path: str, value: object) -> str:
 
 
 def value_at(result: object, path: str) -> Any:
-    """The value at a path.
-
-    Raises LookupError that says how far the path leads, and what is there.
-    """
+    """The value at a path. Raises LookupError that says how far the path leads."""
     tokens = [t for t in re.split(r"\.|\[(\d+)\]", path) if t]
     walked: list[str] = []
     value = result
@@ -238,10 +235,7 @@ def advice_on(
 def improvements(
     lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
 ) -> list[tuple[str, Values]]:
-    """The improvements of components {name: unit} that bring most, and what each brings.
-
-    In words, the best first.
-    """
+    """What brings most for components {name: unit}, in words, the best first."""
     ranked: list[tuple[float, str, Values]] = []
     for line in lines:
         better = line.halved or line.without
@@ -291,11 +285,7 @@ class BadFitError(Exception):
 
 
 def load_result(folder: Path) -> StudyResult:
-    """The result in a folder; keys that its file lacks have their defaults.
-
-    Raises InputError where there is none, the file is no result, or it contradicts
-    itself.
-    """
+    """The result in a folder, absent keys at their defaults. Raises InputError."""
     path = folder / "result.json"
     result = read_result(path)
     for breach in breaches(result):

@@ -25,10 +25,7 @@ class ShippedStudy:
 
 
 def folder() -> Path:
-    """The folder of the shipped studies.
-
-    In the wheel they lie in the package; otherwise in the repository's folder.
-    """
+    """The folder of the shipped studies, in the wheel or in the repository."""
     package = Path(str(resources.files("pkm_studies")))
     installed = package / "shipped"
     return installed if installed.is_dir() else package.parent
@@ -68,10 +65,7 @@ def study_path(path: Path) -> Path:
 
 
 def copy(name: str, source: str, out: Path) -> Path:
-    """Write a copy of a shipped study under a new name into a folder; its path.
-
-    Raises InputError for an unknown study, and where the file exists.
-    """
+    """Write a shipped study under a new name; its path. Raises InputError."""
     text = find(source, "--from").read_text(encoding="utf-8")
     path = new_path(name, out)
     title = path.name.removesuffix(SUFFIX)

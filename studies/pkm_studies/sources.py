@@ -14,10 +14,7 @@ from pkm_studies.tables import ReadingsTable
 
 
 def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Dataset:
-    """The readings that [readings] names.
-
-    Raises InputError, and SourceAbsentError where a collection is not there.
-    """
+    """The readings that [readings] names. Raises InputError, SourceAbsentError."""
     if table.source is None:
         data = read_files([study.folder / name for name in table.files], measurement)
     else:
@@ -40,10 +37,7 @@ def read_files(paths: Sequence[Path], measurement: Measurement) -> Dataset:
 def read_sessions(
     sessions: Sequence[Sequence[Path]], measurement: Measurement
 ) -> tuple[Dataset, tuple[int, ...]]:
-    """Readings files of several sessions, and whose clocks start again: their numbers.
-
-    Raises InputError.
-    """
+    """Readings of several sessions, and the restarted clocks. Raises InputError."""
     try:
         return dataset.load_sessions(sessions, measurement)
     except ReadingsError as error:
@@ -53,10 +47,7 @@ def read_sessions(
 
 
 def check_text(path: Path) -> int:
-    """The number of rows of a readings file, checked without a machine.
-
-    Raises InputError for columns, numbers and orders that are wrong.
-    """
+    """The number of rows of a readings file, without a machine. Raises InputError."""
     try:
         return dataset.count_rows(path)
     except ReadingsError as error:

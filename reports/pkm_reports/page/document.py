@@ -374,10 +374,7 @@ POINTS_PER_INCH = 72.0
 
 
 def compile_typst(template: str, files: Mapping[str, bytes]) -> bytes:
-    """The PDF of a template of this package with the files that it reads.
-
-    The time stamp is fixed, so that the same input gives the same bytes.
-    """
+    """The PDF of a template and its files; the time stamp is fixed, for the same bytes."""
     folder = resources.files("pkm_reports").joinpath("templates")
     main = folder.joinpath(template).read_bytes()
     # The stubs of typst do not know that several files can be given as bytes.

@@ -21,11 +21,7 @@ from pkm_reports.sections import adjustment_blocks
 
 
 def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
-    """Write `adjustment.pdf` into a folder and return its path.
-
-    Raises ValueError where the result has no adjustments, OSError where the folder
-    cannot be written.
-    """
+    """Write `adjustment.pdf` into a folder; its path. Raises ValueError, OSError."""
     section = result.adjustment
     if section is None:
         raise ValueError("this result has no adjustments")
@@ -221,10 +217,7 @@ def _covariates(result: StudyResult) -> list[str]:
 
 
 def _rows_per_part(rows: int, width: int) -> int:
-    """Rows of each part of a table of so many columns.
-
-    A cell to write in takes the width of two columns, so it counts twice.
-    """
+    """Rows of each part of a table; a cell to write in counts as two columns."""
     parts = min(MAX_PARTS, COLUMNS_ACROSS // width, math.ceil(rows / MIN_PART))
     return max(1, math.ceil(rows / max(1, parts)))
 

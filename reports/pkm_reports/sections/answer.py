@@ -670,11 +670,7 @@ def verdicts(
 def remaining_errors(
     result: StudyResult, components: Mapping[str, ComponentAccuracy]
 ) -> dict[str, WantedVerdict]:
-    """The error of each component that verdicts rest on, effects counted.
-
-    Of components that the controller corrects or the study wants something of; all
-    where there are none.
-    """
+    """The error of each component that verdicts rest on: wanted or driven, else all."""
     goals = verdicts(result, components)
     shown = [n for n, c in components.items() if n in goals or c.compensatable]
     names = sorted(shown or components, key=lambda name: name not in goals)
@@ -857,10 +853,7 @@ class Doubt(NamedTuple):
 
 
 def warning_blocks(result: StudyResult) -> list[Block]:
-    """Findings about the readings, missed goals, failed claims, warnings, conditions.
-
-    The one of the main doubt stands in the first lines of the report already.
-    """
+    """Findings, missed goals and claims, warnings, conditions, but for the main doubt."""
     sentences = _warnings(result)
     doubt = main_doubt(result)
     if not sentences and not doubt.words:

@@ -121,10 +121,7 @@ def _uncorrected(results: Results) -> set[str]:
 
 
 def rms_by_component(results: Results) -> dict[str, dict[str, tuple[float, str]]]:
-    """Predicted rms afterwards and its unit, by component and result.
-
-    Of what the controller does not correct, the unknown part.
-    """
+    """Rms afterwards, of what no drive corrects the unknown part, and unit, by component."""
     sizes: dict[str, dict[str, tuple[float, str]]] = {}
     for label, result in results.items():
         prediction = result.judged_prediction
@@ -442,10 +439,7 @@ def _scores(designs: Mapping[str, DesignSection]) -> Table:
 def comparison_parts(
     results: Results, changes: Sequence[str]
 ) -> tuple[list[Section], list[Section]]:
-    """First page and chapters of a comparison of results by name.
-
-    changes    what changed between two sessions of one machine, in sentences
-    """
+    """First page and chapters of a comparison of results by name."""
     answer = _present(
         Section("differences", "What differs", sentences(results)),
         Section("changes", "What changed in the machine", _changes(changes)),

@@ -90,10 +90,7 @@ def draw_circles(traces: Sequence[Trace]) -> Figure:
 
 
 def gap_circles(traces: Sequence[Trace]) -> dict[CircleKey, list[Trace]]:
-    """Up to MOST circles with all their passes, in the order of the data.
-
-    Circles with the largest residuals are taken first.
-    """
+    """The circles with the largest residuals, with all passes, in the order of the data."""
     passes: dict[CircleKey, list[Trace]] = {}
     for trace in traces:
         if trace.kind == "circle":
@@ -187,10 +184,7 @@ TOP_QUANTILE: Final = 0.98
 
 
 def draw_map(spots: Sequence[Spot], unit: str) -> Figure:
-    """Places coloured by their rms residual: a row for each view, before and after.
-
-    Where the model does not change there is one column.
-    """
+    """Places coloured by rms residual: a row a view, before and, if it differs, after."""
     from matplotlib.colors import Normalize
 
     if not spots:

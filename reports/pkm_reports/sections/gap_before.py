@@ -58,10 +58,7 @@ MIN_WHOLE_NUMBER: Final = 9.95
 
 
 def draw_confusable(table: DetectabilityTable) -> Figure:
-    """Rows are effects, columns the effects that could explain them instead.
-
-    The diagonal shows how well each effect is detected where nothing else acts.
-    """
+    """Effects by those that could explain them; on the diagonal, how well each is seen."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 

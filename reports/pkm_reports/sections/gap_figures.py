@@ -86,10 +86,7 @@ def trace_title(trace: Trace, *, loads: bool = False) -> str:
 
 
 def _limits(traces: Sequence[Trace]) -> dict[str, float]:
-    """Half of the vertical range for each unit, the same in all panels.
-
-    A single outlier does not rule it.
-    """
+    """Half of the vertical range for each unit, the same in all panels, outliers aside."""
     limits: dict[str, float] = {}
     for unit in {trace.unit for trace in traces}:
         of_unit = [trace for trace in traces if trace.unit == unit]
@@ -176,10 +173,7 @@ def draw_effects(gap: GapSection) -> Figure:
 
 
 def shown_effects(gap: GapSection) -> list[str]:
-    """Effects that the figure shows, the likeliest first.
-
-    Effects that the readings cannot tell from the best answer are always among them.
-    """
+    """Effects of the figure, the likeliest first, rivals of the best answer among them."""
     ranked = sorted(gap.marginal, key=lambda name: (-gap.marginal[name], name))
     late_rivals = _indistinguishable(gap) & set(ranked[MAX_EFFECTS:])
     first = ranked[: max(MAX_EFFECTS - len(late_rivals), MAX_EFFECTS // 2)]

@@ -264,10 +264,7 @@ MAX_KAPPA_RATIO: Final = 30.0
 
 
 def draw_kappa(maps: Sequence[KappaMap]) -> Figure:
-    """A panel for each parametrisation, a line over n for each number of circles m.
-
-    A ring marks the smallest of each line.
-    """
+    """A panel a parametrisation, a line over n a number of circles, rings at the least."""
     shown = [entry for entry in maps if np.isfinite(missing.table(entry.kappa)).any()]
     if not shown:
         return style.empty("No finite condition number is stored in this result.")

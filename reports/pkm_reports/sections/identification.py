@@ -489,10 +489,7 @@ INTERVAL: Final = "95 % interval"
 
 
 def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> Figure:
-    """A row for each run: from nominal, from the prediction, after compensation.
-
-    after  whether the readings were taken after compensation
-    """
+    """A row a run: from nominal, from the prediction, `after` compensation."""
     sizes = [_largest(missing.array(curve.measured)) for curve in curves]
     ranked = sorted(range(len(curves)), key=lambda k: -sizes[k])
     shown = [curves[k] for k in sorted(ranked[:MAX_CURVES])]

@@ -52,10 +52,7 @@ def box_around(cloud: Array) -> Box:
 
 
 def clearest_azimuth(points: Array) -> float:
-    """Azimuth, deg, that spreads points (n, 3) widest in the picture; the usual if few.
-
-    The spread is the least distance of two points, as drawn.
-    """
+    """Azimuth, deg, of the largest least distance of points (n, 3); the usual if few."""
     if len(points) < 2:
         return AZIMUTHS[0]
     spread = [_least_distance(_drawn(points, azimuth)) for azimuth in AZIMUTHS]
@@ -95,10 +92,7 @@ def set_axes(axes: Any, box: Box, azimuth: float = VIEW["azim"]) -> None:
 
 
 def fit_to(figure: Figure, axes: Any, box: Box, room: Rectangle) -> None:
-    """Move and scale the axes until box, ticks and labels fill the rectangle.
-
-    How much of its rectangle a 3-D box fills depends on its shape and on the view.
-    """
+    """Move and scale 3-D axes until box, ticks and labels fill the rectangle."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     low, high = np.array(room[:2]), np.array(room[2:])

@@ -156,10 +156,7 @@ def path_coordinates(poses: Sequence[PlannedReading]) -> list[str]:
 
 
 def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
-    """The two coordinates that vary most, 1 mm counted as 1 degree.
-
-    Where only one varies, the other is the number of the reading.
-    """
+    """The two coordinates, or one and the reading's number, that vary most; 1 mm as 1 deg."""
     names = path_coordinates(poses)
     table: dict[str, Array] = {}
     for name in names:

@@ -47,10 +47,7 @@ PRIOR_RANGE: Final = 3.2
 
 
 def draw_corner(posterior: PosteriorSection) -> Figure:
-    """Below the diagonal the draws of each pair, on it the histogram of each.
-
-    The prior N(0, 1) is drawn in grey.
-    """
+    """Draws of each pair below the diagonal, histograms and the prior N(0, 1) on it."""
     names, draws = corner_parameters(posterior)
     if not len(draws) or not names:
         return style.empty("No draws of the posterior are stored in this result.")
@@ -206,10 +203,7 @@ def _sampler(posterior: PosteriorSection) -> str:
 
 
 def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
-    """A notice where a marginal is badly sampled, one sentence where all are well.
-
-    Held parameters are not sampled.
-    """
+    """A notice where a marginal is badly sampled, a sentence where all are well."""
     sampled = {name: m for name, m in marginals.items() if math.isfinite(or_nan(m.ess))}
     if not sampled:
         return []

@@ -188,10 +188,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Give the x or y axis a log scale with plain labels.
-
-    A range of under two decades is labelled at 1, 2, 5; a short one evenly.
-    """
+    """Give an axis a log scale with plain labels: even, 1, 2, 5, or a decade apart."""
     from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
     from pkm_reports.style.report_figure import PlainLog

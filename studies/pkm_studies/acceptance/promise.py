@@ -149,10 +149,7 @@ def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSect
 
 
 def _poses(used: StudyWorkspace) -> Array:
-    """The workspace's commands (n, n_dof), and some between them, which no readings took.
-
-    Errors of a best fit are those of the workspace alone.
-    """
+    """Commands (n, n_dof) of the workspace, and between them but for a best fit."""
     if used.reference == "best_fit":
         return used.regular
     return np.vstack([used.regular, used.intermediate_commands(MAX_POSES_BETWEEN)])
@@ -167,10 +164,7 @@ def _conditions(result: StudyResult) -> tuple[str, ...]:
 def _instrument_uncertainty(
     result: StudyResult, machine: Machine, reference: Reference
 ) -> dict[str, float]:
-    """Standard uncertainty, SI, of an error that a set-up of the study reads by itself.
-
-    Zeroed at home, an error is the difference of two readings.
-    """
+    """Standard uncertainty, SI, of an error that a set-up reads; doubled variance at home."""
     readings = 1.0 if reference == "absolute" else math.sqrt(2.0)
     component_of = {READ.format(c.name): c.name for c in machine.components}
     sizes: dict[str, float] = {}

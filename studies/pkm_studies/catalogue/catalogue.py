@@ -134,10 +134,7 @@ def _sound_columns(
 
 
 def function(reference: str, origin: Origin, location: Location) -> Callable[..., Any]:
-    """The function that `path/to/file.py:name` or `package.module:name` names.
-
-    Raises InputError.
-    """
+    """The function that a path or a module names. Raises InputError."""
     module_name, _, name = reference.rpartition(":")
     if not module_name or name.endswith(".py"):
         remedy = "write path/to/file.py:function"
@@ -201,10 +198,7 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
 def lookup(
     reference: str, kind: str, wanted: type, origin: Origin, location: Location
 ) -> Any:
-    """The item of a kind that `reference` names, of the class `wanted`.
-
-    Raises InputError.
-    """
+    """The item of class `wanted` that `reference` names. Raises InputError."""
     module_name = user_code.file_name(reference)
     if not module_name:
         return _named_shortly(reference, kind, location)

@@ -100,10 +100,7 @@ def _check_read_error(machine: Machine, location: Location) -> None:
 
 
 def _check_numbers(machine: Machine, location: Location) -> None:
-    """Raises InputError where the closure is no number at the guess for home.
-
-    Functions of `math` and NumPy give no number for a symbol without an error.
-    """
+    """Raises InputError where the closure is no number, as by functions of `math`."""
     pose, joints = symbols("s", machine.pose), symbols("s", machine.joints)
     parameters = symbols("s", machine.parameters)
     command = symbols("s", machine.command)

@@ -120,10 +120,7 @@ class VariedStudy:
 
 
 def parametrize(metafunc: pytest.Metafunc, fixture: str) -> None:
-    """Make a test of each combination of the marks `study_sweep` of a test.
-
-    Raises UsageError where there is no mark, or a study cannot be read.
-    """
+    """A test of each combination of a test's marks. Raises UsageError."""
     marks = list(metafunc.definition.iter_markers(MARK))
     if not marks:
         raise pytest.UsageError(

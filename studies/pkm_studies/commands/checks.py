@@ -119,10 +119,7 @@ def doubtful_lengths(machine: Machine) -> str | None:
 def _check_study(
     path: Path, consent: Consent, resolved: list[ResolvedStudy], *, alone: bool
 ) -> Verdict:
-    """What a study holds; it joins the studies that are `resolved`.
-
-    Where it stands `alone`, the mistakes that its readings cannot reveal are stated.
-    """
+    """What a study holds, by the studies that are `resolved`; or stands `alone`."""
     study = Study.load(shipped.study_path(path), consent)
     try:
         # without readings first: others can be checked even where these are absent

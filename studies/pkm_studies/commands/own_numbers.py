@@ -80,10 +80,7 @@ def _described(machine: str, numbers: Sequence[str], consent: Consent) -> Machin
 
 
 def calibration_answer(study: Study, result: StudyResult, folder: Path) -> str:
-    """A sentence on whether the numbers of the study's machine are good.
-
-    folder  of the result
-    """
+    """A sentence on whether the numbers of the study's machine are good."""
     section = result.judged_prediction
     doubts = trust.objections(result)
     if section is None or doubts:

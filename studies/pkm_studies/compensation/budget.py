@@ -65,11 +65,7 @@ class FileBudget:
 def complete_budget(
     controller: ControllerFormat, content: Compensation, result: StudyResult
 ) -> FileBudget | None:
-    """The budget with the lines of a file; None where no accuracy was predicted.
-
-    It has the components that the joints drive, and those for which the file has offsets
-    for additional axes.
-    """
+    """The budget with a file's lines, for what joints or axes correct; None without."""
     corrected = result.corrected
     prediction = result.final_prediction
     if prediction is None or prediction.budget is None or controller.joints is None:
@@ -159,10 +155,7 @@ def _rms_without_axes(
     budget: BudgetSection,
     section: BudgetSection,
 ) -> dict[str, float]:
-    """Rms errors of what no joint drives, by component in its fine unit.
-
-    Without additional axes what is known of them stays as well.
-    """
+    """Rms of what no joint drives and no axis corrects, by component in its fine unit."""
     undriven = undriven_units(content)
     unknown = budget.predicted | section.predicted
     predicted = [name for name in undriven if name in unknown]
@@ -306,10 +299,7 @@ def _interpolation(
 
 
 def _effect_lines(content: Compensation, shown: Mapping[str, str]) -> list[FileLine]:
-    """What the effects' corrections lose between their commands, in their worst states.
-
-    Their errors may go the same way: they add up in size.
-    """
+    """What effects' corrections lose between commands, in the worst states, added up."""
     stated = [table.interpolation for table in content.tables if table.interpolation]
     if not stated:
         return []

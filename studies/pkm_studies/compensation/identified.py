@@ -88,10 +88,7 @@ SENT = {
 def identified_parameters(
     result: StudyResult, machine: Machine, *, tables: bool
 ) -> Identified | None:
-    """The parameters that everything downstream takes; None without an identification.
-
-    `tables` says whether the file holds tables of effects.
-    """
+    """The parameters that a file of `tables`, or none, takes; None without any."""
     corrected = result.corrected
     if result.final_estimate is None:
         return None
@@ -115,10 +112,7 @@ def identified_parameters(
 def drawn_parameters(
     result: StudyResult, machine: Machine, parameters: Identified, folder: Path
 ) -> Array:
-    """Parameters (DRAWS, np), SI, drawn from the posterior about the given ones.
-
-    With its covariance, correlations included; parameters that are held stay.
-    """
+    """Parameters (DRAWS, np), SI, of the posterior's covariance about the given ones."""
     section = result.final_estimate
     estimated = set() if section is None else set(section.parameters)
     rows = zip(machine.parameters, parameters.sd, strict=True)
@@ -134,10 +128,7 @@ def drawn_parameters(
 
 
 def adjusted_result(result: StudyResult) -> StudyResult:
-    """The result with the parameters that the machine has after its adjustments.
-
-    Raises InputError where none were chosen.
-    """
+    """The result after its adjustments. Raises InputError where none were chosen."""
     section, adjustment = result.final_estimate, result.adjustment
     if section is None or adjustment is None:
         raise InputError(

@@ -114,10 +114,7 @@ class TableAccuracy:
 def add_offsets(
     want: TableAccuracy, further: FurtherAxes, prediction: PredictionSection | None
 ) -> TableAccuracy:
-    """As `want`, and the offsets for additional axes to a share of what stays unknown.
-
-    Those of which nothing was predicted do not count.
-    """
+    """As `want`, with offsets for additional axes to a share of what stays unknown."""
     components = {} if prediction is None else prediction.components
     counted = [
         (k, axis)

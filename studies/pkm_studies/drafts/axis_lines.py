@@ -44,10 +44,7 @@ def axis(c: Coordinate, machine: Machine, share: float, free: int | None = None)
 
 
 def count_of_values(machine: Machine, free: int | None = None) -> int:
-    """Values of each coordinate: five, or fewer where six would make 15625 poses.
-
-    More where an instrument leaves at most two free.
-    """
+    """Values of each coordinate: fewer where six would make 15625 poses."""
     every = len(machine.command)
     free = every if free is None else free
     if free < every and free <= 2:
@@ -57,10 +54,7 @@ def count_of_values(machine: Machine, free: int | None = None) -> int:
 
 
 def turns_round(c: Coordinate, share: float) -> bool:
-    """Whether an angle goes all the way round: not in a part of the workspace.
-
-    Where its range has no end, only a cautious try goes round.
-    """
+    """Whether an angle goes all the way round: cautious where its range has no end."""
     full_turn = 2.0 * math.pi - 1e-9
     whole = c.unit == "rad" and c.lower <= 0.0 and c.upper >= full_turn
     has_ends = math.isfinite(c.lower) and math.isfinite(c.upper)
@@ -70,10 +64,7 @@ def turns_round(c: Coordinate, share: float) -> bool:
 def span_of_values(
     c: Coordinate, machine: Machine, share: float
 ) -> tuple[float, float]:
-    """The middle of a coordinate's range; a smaller part of it lies about home.
-
-    So does that of a coordinate without end.
-    """
+    """The middle of a coordinate's range, or a part of it about home."""
     home = machine.home[c.name]
     low = c.lower if np.isfinite(c.lower) else home - HALF_RANGE
     high = c.upper if np.isfinite(c.upper) else home + HALF_RANGE

@@ -39,10 +39,7 @@ class StartingModel:
     def named(
         cls, machine: str, origin: Origin, loops: Path | None = None
     ) -> StartingModel:
-        """The machine of a name or file of Python, of MJCF, or of URDF with its loops.
-
-        Raises InputError for a machine that is none.
-        """
+        """The machine of a name, of Python, MJCF or URDF with loops. Raises InputError."""
         if families.is_model_file(machine):
             described = families.described(origin.folder / machine, loops)
             name = described.machine.name

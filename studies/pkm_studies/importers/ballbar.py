@@ -478,10 +478,7 @@ def measured_circles(
     columns: dict[str, str],
     location: Location,
 ) -> list[MeasuredCircle]:
-    """The circles of [circle], which has all runs, or of [[circles]].
-
-    Raises InputError where a run belongs to no circle, or to two.
-    """
+    """The circles of [circle] or [[circles]]. Raises InputError unless each run has one."""
     if mapping.circle is not None and mapping.circles:
         raise location.key("circles").error(
             "[circle] is given as well", "move it into a table [[circles]] of its own"

@@ -73,10 +73,7 @@ class Importer(Protocol):
 
 
 def unused_options(importer: Importer) -> tuple[str, ...]:
-    """Options of `oed import` that the importer does not read.
-
-    It states them as `unused`; one of another package may state none.
-    """
+    """Options of `oed import` that the importer states that it does not read."""
     return getattr(importer, "unused", ())
 
 

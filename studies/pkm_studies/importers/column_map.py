@@ -184,10 +184,7 @@ def _stated(table: MachineTable) -> dict[str, Any]:
 
 
 def _relative_reference(reference: str, folder: Path, request: ImportRequest) -> str:
-    """A reference as the out folder sees it.
-
-    A file from outside is to be copied: a study names files of its own folder alone.
-    """
+    """A reference as the out folder sees it; a file from outside is to be copied."""
     if not user_code.is_file(reference):
         return reference
     name = user_code.file_name(reference)

@@ -281,10 +281,7 @@ def _check_sizes(values: Array, name: str, column: str, table: CsvTable) -> None
 def drop_partial_joints(
     rows: Sequence[Row], machine: Machine
 ) -> tuple[list[Row], list[str]]:
-    """Rows but those in which some joints are empty; a sentence on these.
-
-    A row with some of its joints alone has no pose.
-    """
+    """Rows without those in which some joints are empty; a sentence on these."""
     stems = {joint.name for joint in machine.joints}
     columns = [name for name in rows[0] if ReadingsColumn.stem_of(name) in stems]
     filled = [sum(bool(row[name]) for name in columns) for row in rows]

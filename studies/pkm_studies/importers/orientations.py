@@ -40,10 +40,7 @@ def source_columns(columns: OrientationColumns | None) -> tuple[str, ...]:
 def angle_columns(
     columns: OrientationColumns, tool: Instrument, table: CsvTable, location: Location
 ) -> dict[str, list[str]]:
-    """Cells of the instrument's angles, by readings column; empty where one is missing.
-
-    Raises InputError.
-    """
+    """Cells of the instrument's angles, by readings column. Raises InputError."""
     form = _form(columns, location)
     stated = tool.orientation
     if stated is None:

@@ -32,10 +32,7 @@ def import_files(
     mesh: MeshUse = "hold-out",
     consent: Consent = Consent.RECORDED,
 ) -> tuple[Path, ImportedSession]:
-    """Write study and readings into the folder `out`; the study's path and the session.
-
-    Raises InputError, also where one of the files to write exists already.
-    """
+    """Write study and readings; study's path, session. Raises InputError for old files."""
     importer = named_importer(kind, consent)
     stated = {"--machine": machine is not None, "--map": column_map is not None}
     stated["--mesh"] = mesh != "hold-out"
@@ -164,10 +161,7 @@ def importers() -> dict[str, Importer]:
 
 
 def named_importer(name: str, consent: Consent) -> Importer:
-    """The importer of this name, or in a user's file; no other one is loaded.
-
-    Raises InputError.
-    """
+    """The importer of this name, or in a user's file. Raises InputError."""
     if is_file(name):
         origin = Origin.command(consent)
         user_importer: Importer = lookup(name, KIND, Importer, origin, Location("KIND"))

@@ -149,10 +149,7 @@ def _registered(
     table: CsvTable,
     location: Location,
 ) -> tuple[list[Row], list[str]]:
-    """Rows with the readings in the machine's frame, and what was done.
-
-    Raises InputError.
-    """
+    """Rows with readings in the machine's frame; what was done. Raises InputError."""
     if mapping.registration == "known":
         nominal_poses.check_orientations(rows, mapping, kinematics, tool, table)
         return rows, ["Frame: the points are taken to be in the machine's frame."]
@@ -206,10 +203,7 @@ def _turned_sigma(row: Row, by: Rotation) -> dict[str, str]:
 def _orientation_columns(
     rows: list[Row], tool: Instrument, location: Location
 ) -> dict[str, str]:
-    """Columns of the instrument's angles by angle; none where none was read.
-
-    Raises InputError for angles that cannot be turned with the frame.
-    """
+    """Columns of the angles that can be turned with the frame. Raises InputError."""
     read = [name for name in rows[0] if name.startswith("read_")]
     others = [name for name in read if not name.startswith(CHANNELS)]
     by_stem = {name.rpartition("_")[0]: name for name in others}
@@ -289,10 +283,7 @@ def _setups(
 
 
 def named_markers(table: CsvTable) -> CsvTable:
-    """The table with plain names of a single Qualisys marker's or body's columns.
-
-    Several are named each by its own name, which a map can choose from.
-    """
+    """The table with plain names of a single Qualisys marker's or body's columns."""
     rows = [cells for _, cells in table.above if cells and cells[0] in NAMES]
     names = [name for name in rows[0][1:] if name] if rows else []
     header = list(table.header)
@@ -305,10 +296,7 @@ def named_markers(table: CsvTable) -> CsvTable:
 
 
 def stated_unit(table: CsvTable) -> str:
-    """The unit of lengths that lines above the header state; mm where none does.
-
-    Raises InputError for another word.
-    """
+    """The unit of lengths above the header, mm without one. Raises InputError."""
     for number, cells in table.above:
         if LENGTH_UNITS in cells[:-1]:
             word = cells[cells.index(LENGTH_UNITS) + 1]
@@ -402,10 +390,7 @@ POINTS = "_points"
 def target_rows(
     rows: Sequence[Row], mapping: ColumnMap, kinematics: Kinematics, location: Location
 ) -> list[Row]:
-    """Rows whose commands are those of their target. Raises InputError.
-
-    A target that the map does not have is refused.
-    """
+    """Rows whose commands are those of targets of the map. Raises InputError."""
     if not mapping.targets:
         return list(rows)
     moved = [dict(row) for row in rows]

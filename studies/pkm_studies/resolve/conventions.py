@@ -90,10 +90,7 @@ def _add_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEn
 def readings_comments(
     machine: Machine, setups: Mapping[str, Instrument], header: Sequence[str]
 ) -> list[str]:
-    """Lines that open a CSV of readings: the frames, then each column that it has.
-
-    setups  instruments by the name of their set-up
-    """
+    """Lines that open a CSV of readings of set-ups: frames, then each column."""
     lines = machine_frames(machine)
     for name in header:
         phrase = _meaning(name, machine, setups)

@@ -162,10 +162,7 @@ CANNOT_HOLD = "cannot hold their reading"
 def candidates(
     study: Study, measurement: Measurement
 ) -> tuple[tuple[Series, ...], dict[str, int], tuple[str, ...]]:
-    """One series for each [[design.candidates]], refusals by reason, and warnings.
-
-    Raises InputError where a grid does not fit or no candidate meets the limits.
-    """
+    """A series a [[design.candidates]], refusals by reason, warnings. Raises InputError."""
     if study.design is None:
         return (), {}, ()
     every: list[Series] = []
@@ -412,10 +409,7 @@ def _groups(candidates: Sequence[Series], whole_runs: bool) -> list[_Group]:
 
 
 def _checked_size(table: DesignTable, location: Location) -> int:
-    """The number of readings.
-
-    Raises InputError for fields of [design] that do not go with quotas.
-    """
+    """The number of readings. Raises InputError for fields that do not go with quotas."""
     field = "quota" if table.quota else "equal"
     if table.size is None or table.budget_min is not None:
         problem = f"{field} needs the number of readings, which a budget leaves open"

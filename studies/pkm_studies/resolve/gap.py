@@ -48,10 +48,7 @@ PER = "_per_"
 
 
 def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
-    """Raise InputError for a field of [effects] that names no effect or wrong unit.
-
-    `effects` are those of the study; all of the catalogue are known as well.
-    """
+    """Raises InputError for a field of [effects] that names no effect, or wrong units."""
     by_name = {e.name: e for e in effects}
     location = study.location.key("effects")
     for entry in catalogue.listing("effects"):
@@ -522,10 +519,7 @@ class GapDesignRequest:
     def plan_runs(
         self, plans: Mapping[str, ReferencePlan], measurement: Measurement
     ) -> tuple[list[Run], list[Run]]:
-        """Runs of the retained plan, and candidate runs of the others.
-
-        Raises InputError for plans that do not exist.
-        """
+        """Runs of the retained plan, and candidates of others. Raises InputError."""
         table, location = self.table, self.location
         if not plans:
             raise location.error(

@@ -505,10 +505,7 @@ def planned_series(
     run: Sequence[str],
     location: Location,
 ) -> Series:
-    """Readings at commands, in the passes that the set-up's protocol asks for.
-
-    Raises InputError where a pose is out of reach or a joint out of its range.
-    """
+    """Readings at commands in the protocol's passes. Raises InputError out of reach."""
     try:
         series = measurement.series(setup, command, run)
     except AssemblyError as error:

@@ -36,10 +36,7 @@ def known_name(
 def matching_names(
     patterns: Sequence[str], allowed: Iterable[str], location: Location
 ) -> list[str]:
-    """Known names that match any of the patterns.
-
-    Raises InputError for a pattern that matches nothing.
-    """
+    """Known names that match a pattern. Raises InputError where one matches nothing."""
     names = list(allowed)
     for i, pattern in enumerate(patterns):
         if not fnmatch.filter(names, pattern):
@@ -149,10 +146,7 @@ def add_adjustments(
 def _adjustment(
     table: AdjustTable, machine: Machine, fixed: Collection[str], location: Location
 ) -> dict[str, Adjustment]:
-    """The adjustments of one table by parameter.
-
-    fixed  parameters that only choose the base frame
-    """
+    """The adjustments of one table by parameter; none of the `fixed` ones."""
     units = {p.name: p.unit for p in machine.parameters}
     field = location.key("parameters")
     names, unit = names_of_one_unit(table.parameters, units, field)
@@ -196,10 +190,7 @@ def study_kinematics(study: Study) -> Kinematics:
 
 
 def study_machine(study: Study, *, assembled: bool = True) -> Machine:
-    """The model with the study's numbers. Raises InputError.
-
-    assembled  whether it must assemble at home
-    """
+    """The model with the study's numbers, `assembled` at home. Raises InputError."""
     location = study.location.key("machine")
     return described_machine(study.machine, study.origin, location, assembled=assembled)
 
@@ -384,10 +375,7 @@ def _ranges(
 
 
 def check_home(kinematics: Kinematics, location: Location) -> None:
-    """Raises InputError where the machine does not close at home in the model's mode.
-
-    Also where it closes with a joint beyond its range.
-    """
+    """Raises InputError unless the machine closes at home in its mode and joint ranges."""
     machine = kinematics.machine
     home = machine.home_command[None]
     try:

@@ -68,10 +68,7 @@ def plan_request(
     setups: Iterable[str],
     prediction: PredictionRequest | None,
 ) -> PlanRequest | None:
-    """What the study's [plan] requests; None where it lists no measurement.
-
-    Otherwise as `request_of`.
-    """
+    """What [plan] requests; None without measurements. Otherwise as `request_of_table`."""
     table = study.plan
     if table is None or not table.measurement:
         return None

@@ -152,10 +152,7 @@ def _column(covariate: str) -> str:
 
 
 def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
-    """Wanted rms error by component, SI; empty where none is stated.
-
-    Raises InputError for a component that the machine does not have.
-    """
+    """Wanted rms error by component, SI, if any. Raises InputError for other components."""
     if study.prediction is None:
         return {}
     unit_of = {c.name: c.unit for c in machine.components}
@@ -196,10 +193,7 @@ class StudyWorkspace:
 
     @staticmethod
     def regular_at(kinematics: Kinematics, command: Array) -> Array:
-        """Those commands (n, n_dof) at which every pose component has an error.
-
-        Where a tilt is zero, its direction has none.
-        """
+        """Commands (n, n_dof) at which every pose component has an error: no tilt is zero."""
         slopes = kinematics.error_components_jacobian(command)
         is_regular = np.isfinite(slopes).all(axis=(1, 2))
         return command[is_regular]
@@ -273,10 +267,7 @@ MAX_TRIED = 729
 
 
 def unreachable(kinematics: Kinematics) -> str | None:
-    """A sentence on poses of the workspace that joints do not reach; None without.
-
-    Corners, middles of sides and centre are tried.
-    """
+    """A sentence on poses, of corners and middles, that joints do not reach; or None."""
     machine = kinematics.machine
     ends = [(c.lower, c.upper) for c in machine.command]
     count = N_TRIED if N_TRIED ** len(ends) <= MAX_TRIED else N_TRIED - 1

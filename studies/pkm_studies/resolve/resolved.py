@@ -89,10 +89,7 @@ def used_setups(
     references: Sequence[ReferencePlan],
     setups: Mapping[str, Setup],
 ) -> Iterable[str]:
-    """Set-ups of candidates and readings; without both, of reference plans, or all.
-
-    A set-up that only [[kappa]] or a reference plan names stays out.
-    """
+    """Set-ups of candidates and readings; without both, of reference plans, or all."""
     used = {s.setup for s in candidates}
     if candidates and design is not None:
         used |= {s.setup for s in design.retained}
@@ -127,10 +124,7 @@ def reading_roles(
 
 
 def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
-    """Parameters of the virtual machine, SI, that the study states.
-
-    A set-up's unknowns stand in a table with the set-up's name.
-    """
+    """Parameters of the virtual machine, SI, by name; of set-ups from their tables."""
     if study.readings is None:
         return {}
     location = study.location.path("readings", "truth")
@@ -163,10 +157,7 @@ MIN_PRIOR_SHARE = 0.2
 
 
 def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
-    """Results that [prior] takes, each with the place and the name in the study.
-
-    Raises InputError.
-    """
+    """Results that [prior] takes, with place and name. Raises InputError."""
     prior = study.prior
     location = study.location.key("prior")
     named = [(location.path("from", i), name) for i, name in enumerate(prior.from_)]
@@ -361,10 +352,7 @@ REMEDY = (
 
 
 def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
-    """The kinematics under the controller that [machine] controller states.
-
-    Raises InputError where there is no such file or folder, or it is of another machine.
-    """
+    """The kinematics under the controller that the study states. Raises InputError."""
     name = study.machine.controller
     if name is None:
         return kinematics
@@ -583,10 +571,7 @@ class ResolvedStudy:
 
     @property
     def diagnosed(self) -> GapRequest:
-        """The same for a diagnosis, with the effects that [identify] names alone, if any.
-
-        Raises InputError for a name that is no effect of the study.
-        """
+        """The same with the effects that [identify] names, if any. Raises InputError."""
         request, names = self.gap_or_default, self.study.identify.effects
         location = self.study.location.path("identify", "effects")
         named = request.named_effects(names or ALL_EFFECTS, location)
@@ -701,10 +686,7 @@ class ResolvedStudy:
 
 
 def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> ResolvedStudy:
-    """The objects of a study.
-
-    `readings` replaces the files of [readings]; with an empty list, none are read.
-    """
+    """The objects of a study, with other readings where given, none for an empty list."""
     nominal = hold_parameters(study, study_kinematics(study))
     mounted = mounted_setups(study, nominal)
     machine, mounted = replace_tolerances(study, nominal.machine, mounted)

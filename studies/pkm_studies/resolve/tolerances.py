@@ -39,11 +39,7 @@ SEATING = "seating"
 
 
 def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
-    """Set-ups with the standard deviation of each channel, and what else is stated.
-
-    A number for one set-up goes before one for all, and that before the instrument's.
-    Raises InputError.
-    """
+    """Set-ups with stated noise: of one, of all, or their own. Raises InputError."""
     location = study.location.key("noise")
     common, special = quantities.split_tables(study.noise.sigma)
     for name in special:
@@ -305,10 +301,7 @@ MIN_SHARE = 0.02
 def replace_tolerances(
     study: Study, machine: Machine, setups: dict[str, Setup]
 ) -> tuple[Machine, dict[str, Setup]]:
-    """Machine and set-ups with the study's tolerances, fixed parameters and noise.
-
-    Raises InputError for names and units that do not fit.
-    """
+    """Machine and set-ups with the study's tolerances and noise. Raises InputError."""
     names = _parameter_units(machine, setups)
     prior = _prior_tolerances(study, names)
     fixed = _fixed_parameters(study, names)
@@ -464,10 +457,7 @@ def _share(machine: Machine, number: int) -> float:
 
 
 def add_correlation(study: Study, machine: Machine) -> Machine:
-    """The machine with the correlations of [[prior.correlated]].
-
-    Raises InputError for names that do not fit, and for correlations that cannot be.
-    """
+    """The machine with [[prior.correlated]]. Raises InputError for what cannot be."""
     tables = study.prior.correlated
     if not tables:
         return machine

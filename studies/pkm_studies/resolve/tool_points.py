@@ -60,10 +60,7 @@ class ToolPoints:
     def commands(
         self, points: Array, fixed: Mapping[str, float], location: Location
     ) -> Array:
-        """Commands (n, n_dof) at points (n, 3), m, with some coordinates given, SI.
-
-        Raises InputError where a point cannot be reached.
-        """
+        """Commands (n, n_dof) at points (n, 3), m, some given, SI. Raises InputError."""
         free = self._free(fixed, location)
         command = self._starts(points, fixed, free)
         for _ in range(STEPS):

@@ -76,10 +76,7 @@ def adjust_folder(
 def adjustable_machine(
     result: StudyResult, study: Study, folder: Path, wanted: str
 ) -> AdjustableMachine:
-    """What the result in a folder knows of its machine. Raises InputError.
-
-    wanted  rms errors by which the components count; by their lengths where it is empty
-    """
+    """What is known of a result's machine, for `wanted` rms. Raises InputError."""
     section = result.final_estimate
     file = str(folder / "result.json")
     if section is None or not section.covariance:
@@ -140,10 +137,7 @@ def _covariance(
     section: EstimateSection | CorrectedSection,
     folder: Path,
 ) -> Array:
-    """Second moment (np, np), SI, of the posterior about the identified parameters.
-
-    Of its draws where there are any, else of the estimate's normal approximation.
-    """
+    """Second moment (np, np), SI, of the posterior's draws, or of the estimate."""
     names = [p.name for p in machine.parameters if p.name in section.parameters]
     draws = None
     if result.posterior is not None and result.corrected is None:

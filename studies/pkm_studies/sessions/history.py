@@ -51,10 +51,7 @@ def compare(before: Path, after: Path) -> SessionReport:
 def sessions_of(
     results: Sequence[StudyResult], folders: Sequence[Path]
 ) -> tuple[MachineSessions, dict[str, str]]:
-    """The sessions of several results, and the unit of each parameter.
-
-    Raises InputError where a folder holds no estimate, or not of the same machine.
-    """
+    """The sessions of several results, and parameters' units. Raises InputError."""
     estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
     tables = [
         _machine_parameters(result, estimate)
@@ -337,10 +334,7 @@ def _errors(
     study_file: Path | None,
     consent: Consent,
 ) -> list[_Error]:
-    """The error of each component that the controller corrects.
-
-    Its maps are over the parameters in the units of their estimates.
-    """
+    """The error of each driven component, over the parameters in display units."""
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder, study_file, consent)
     accuracy = PromisedAccuracy.from_result(

@@ -77,10 +77,7 @@ class Outlook:
 
     @functools.cached_property
     def drawn_rms(self) -> Array:
-        """Rms errors (machines, K) that this machine may have, SI.
-
-        The mean square over the workspace is a sum of squares of normal errors.
-        """
+        """Rms errors (machines, K), SI, that this machine may have."""
         rng = np.random.default_rng(0)
         values, vectors = np.linalg.eigh(self.now.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -105,10 +102,7 @@ class Outlook:
         return share, wanted * self.accuracy(self.now) / upper
 
     def limits(self, wanted: Array) -> Array:
-        """Wanted rms (K,) of what readings can reduce; NaN where none is wanted.
-
-        Where more than wanted is left by what they cannot, nothing reaches the limit.
-        """
+        """Wanted rms (K,) left to readings: NaN for none, tiny where the rest is more."""
         least = (OUT_OF_REACH * wanted) ** 2
         return np.asarray(np.sqrt(np.maximum(wanted**2 - self.others, least)))
 
@@ -216,10 +210,7 @@ class Adviser:
         return self.base.resolved.measurement_with(self.base.resolved.setups)
 
     def fit(self, readings: Path) -> FittedReadings | None:
-        """The readings of a file with their fit; None where it has only poses.
-
-        Raises InputError for readings that cannot be read or fitted.
-        """
+        """The readings of a file with their fit; None without any. Raises InputError."""
         state = self._state_with_readings(readings)
         if state is None:
             return None
@@ -439,10 +430,7 @@ class Adviser:
 def _plan(
     belief: Belief, blocks: Array, remaining: int, limits: Array
 ) -> tuple[list[int], int | None]:
-    """Readings to come, the next one first, and how many reach what is wanted.
-
-    Where fewer than the remaining ones can, the plan is one for the fewest.
-    """
+    """Readings to come, at least the fewest that reach what is wanted, and how many do."""
     if np.isfinite(limits).any():
         fewest = belief.fewest_remaining(blocks, remaining, limits)
         if fewest is not None and fewest[0]:
@@ -453,10 +441,7 @@ def _plan(
 
 
 def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int | None:
-    """Readings until every wanted accuracy is reached; None where too many are.
-
-    Those of the plan count first, the best of them first, then single best ones.
-    """
+    """Readings of the plan, then others, until all that is wanted is reached; or None."""
     if not np.isfinite(limits).any():
         return None
     rest = list(plan)
@@ -487,10 +472,7 @@ def _planned_candidates(state: RunState) -> list[int]:
 def _limits(
     study: Study, state: RunState, names: tuple[str, ...], wanted: str
 ) -> Array:
-    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is.
-
-    Of one component, [prediction] goes before [design.how_many].
-    """
+    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is."""
     machine = state.resolved.machine
     values = component_values(wanted, "--wanted", machine)
     if not wanted:
@@ -799,10 +781,7 @@ def allowed(
     skipped: Sequence[SkippedPose],
     measurement: Measurement,
 ) -> Mask:
-    """Mask (C,) of the candidates that are read at no skipped pose of their set-up.
-
-    They follow the readings `taken` in the pool. Raises InputError where none is.
-    """
+    """Mask (C,) of candidates at no skipped pose. Raises InputError where none is left."""
     rows = [~_is_at_any(series, skipped, measurement) for series in pool.series]
     mask = np.concatenate(rows)[pool.members[taken:, 0]]
     if not mask.any():

@@ -130,10 +130,7 @@ class ForecastTask:
         return self.model.kinematics
 
     def predicted_errors(self, command: Array) -> Array:
-        """Errors (n, k) of the nodes that the parameters predict, SI.
-
-        Zero where the controller compensates what was identified.
-        """
+        """Predicted errors (n, k) of the nodes, SI; zero where they are compensated."""
         has_estimate = self.table.compensated and self.kinematics.controller is None
         if self.knowledge is None or has_estimate:
             return np.zeros((len(command), len(self.expected)))
@@ -478,10 +475,7 @@ def _add_figures(
 
 
 def _doubts(task: ForecastTask, command: Array, pull: Array) -> Iterator[str]:
-    """A sentence on each node that the others contradict.
-
-    pull  (n, k) residuals over their standard deviations; NaN where none was read
-    """
+    """A sentence on each node that others contradict; pull (n, k) residuals over sd."""
     for row, k in np.argwhere(np.abs(pull) > DOUBTFUL_NODE_DEVIATIONS):
         pose = describe.displayed_command(task.kinematics.machine, command[row])
         pose_text = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
@@ -630,13 +624,7 @@ def forecast_errors(
     knowledge: EstimatedParameters | None = None,
     readings: Path | None = None,
 ) -> StateT:
-    """The state with its nodes, and with the table where they are measured.
-
-    knowledge  what was identified; that of a fitted state by default
-    readings   file of the nodes, in place of the study's
-
-    Raises InputError for what [forecast] misstates.
-    """
+    """The state with nodes, and the table of measured ones. Raises InputError."""
     state.progress.stage("forecast")
     study = state.study
     rng = state.rng(Stream.FORECAST)

@@ -31,10 +31,7 @@ def letters(machine: Machine) -> dict[str, str]:
 
 
 def write(compensation: Compensation) -> Texts:
-    """One move, dwell and comment for each planned pose; a stop before each set-up.
-
-    Raises InputError where the result has no planned poses.
-    """
+    """A move, dwell and comment for each planned pose. Raises InputError without any."""
     if not compensation.poses:
         raise InputError(
             "the result has no planned poses",

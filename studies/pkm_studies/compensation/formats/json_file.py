@@ -129,10 +129,7 @@ def _column_text(role: str, phrase: str) -> str:
 
 
 def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
-    """The axes of the table, in the order of its columns; none where it is no grid.
-
-    `repeats` says whether the axis is a full turn.
-    """
+    """The axes of the table, in order of its columns, and whether each is a full turn."""
     if compensation.grid is None:
         return []
     grid = compensation.grid

@@ -198,10 +198,7 @@ def _rotation(axis: Array, angle: float) -> Array:
 
 
 def _roll_pitch_yaw(rotation: Array) -> Array:
-    """URDF's angles (3,) of a rotation (3, 3): about fixed x, then y, then z.
-
-    At a pitch of a right angle, roll is 0.
-    """
+    """URDF's angles (3,) of a rotation (3, 3): about fixed x, y, z; no roll at 90 deg."""
     pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[2, 1], rotation[2, 2]))
     if math.hypot(rotation[2, 1], rotation[2, 2]) < 1e-12:
         return np.array([0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])])

@@ -420,10 +420,7 @@ def _glides(drawn: DrawnMachine, location: Location) -> Geometry:
 
 
 def _crank(limb: DrawnLimb, location: Location) -> tuple[Array, Array, float]:
-    """Centre (3,) and arm (3,) at a joint of 0, and the side of the knee.
-
-    Raises InputError for a knee that is drawn straight.
-    """
+    """Centre (3,), arm (3,) and side of the knee. Raises InputError for a straight one."""
     axis = limb.drive.axis
     centre = limb.drive.at + (limb.start - limb.drive.at) @ axis * axis
     arm, line = limb.start - centre, limb.end - centre
@@ -454,10 +451,7 @@ def _cranks(drawn: DrawnMachine, location: Location) -> Geometry:
 
 
 def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
-    """Cranks with outward knees; axes that are nearly level, their tilts as numbers.
-
-    Shoulders are less the platform's joints.
-    """
+    """Cranks with outward knees and nearly level axes, their tilts as numbers."""
     nominal: dict[str, float] = {}
     rows = []
     for k, limb in enumerate(drawn.limbs, start=1):

@@ -120,11 +120,7 @@ def effect_tables(
     axes: tuple[GridAxis, ...],
     prediction: PredictionSection | None,
 ) -> tuple[list[EffectTable], Mapping[str, str]]:
-    """Tables in display units over a box of commands, and why an effect has none.
-
-    command     (n, n_dof) of the workspace, SI, where the box is out of reach
-    prediction  the accuracy with the effects compensated
-    """
+    """Tables in display units over a box of commands, and why an effect has none."""
     if not len(command):
         return [], {}
     tabled = corrected.tables(command)
@@ -235,10 +231,7 @@ def add_least_error(
     accuracy: CorrectedAccuracy,
     plain: Array,
 ) -> CorrectedSection:
-    """The section with what a controller is sent, by the draws of its fit.
-
-    plain  (np,) parameters of the fit without effects, SI
-    """
+    """With what is sent by the draws; plain (np,), SI, of the fit without effects."""
     before, after = accuracy.compensated.before, accuracy.compensated.after
     geometry = {
         CompensationName.BEST: accuracy.parameters_only,

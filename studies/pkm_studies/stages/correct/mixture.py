@@ -357,10 +357,7 @@ COARSE = "it varies faster over the workspace than a table can follow"
 
 
 def mix_answers(state: Fitted) -> Fitted:
-    """Parameters and accuracy over all hypotheses of the diagnosis, where there is one.
-
-    Nothing rests on a fit that failed its check, unless an effect explains that.
-    """
+    """Parameters and accuracy over all hypotheses of a diagnosis, unless the fit is bad."""
     diagnosis, gap = state.diagnosis, state.result.gap
     if diagnosis is None or gap is None or state.with_effects:
         return state

@@ -119,10 +119,7 @@ class StudyCriteria:
     def _accuracy_gradients(
         self, measurement: Measurement, effects: PlannedEffects | None
     ) -> Array:
-        """Gradients (poses, components, n) of wanted components over wanted accuracy.
-
-        With effects over n + u columns.
-        """
+        """Gradients (poses, components, n, or n + u with effects) over wanted accuracy."""
         maps, accuracy = self.needed_maps, self.request.accuracy
         columns = [k for k, name in enumerate(maps.names) if name in accuracy]
         wanted = np.array([accuracy[maps.names[k]] for k in columns])
@@ -169,10 +166,7 @@ class StudyCriteria:
     def predicted_accuracy(
         self, measurement: Measurement, series: Sequence[Series]
     ) -> dict[str, float]:
-        """Predicted rms of each pose component, once all that is known is corrected.
-
-        By component and fine unit (`z_um`).
-        """
+        """Predicted rms of each pose component, fully corrected, by fine unit (`z_um`)."""
         maps = self.error_maps
         if maps is None:
             return {}

@@ -170,10 +170,7 @@ def _order_setup(
 
 
 def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series:
-    """Series of one set-up as one.
-
-    Runs of one name with a reference of their own get a number.
-    """
+    """Series of one set-up as one; runs of one name with references get a number."""
     if len(parts) == 1:
         return parts[0]
     if measurement.setups[setup].instrument.reference != "run":

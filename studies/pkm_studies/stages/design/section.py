@@ -252,10 +252,7 @@ def planned_readings(
 
 
 def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
-    """The certificate, its scope, and what polishing added.
-
-    `shared` columns stand for the common errors of runs and are not counted.
-    """
+    """The certificate, its scope, and what polishing added; without `shared` columns."""
     kind = "runs" if chosen.criteria.table.whole_runs else "readings"
     what = f"{len(chosen.choice.indices)} of {chosen.candidates} {kind}"
     text = _certificate(chosen, what)
@@ -354,10 +351,7 @@ def identifiability_section(
     others: Mapping[str, SeriesWithMeasurement],
     indices: Sequence[str] = (),
 ) -> IdentifiabilitySection:
-    """Rank, singular values, null directions, sentences and the named indices.
-
-    `others` are readings that the sentences may recommend as a remedy.
-    """
+    """Rank, singular values, directions, named indices, and remedies from `others`."""
     verdict = identifiability.identifiability
     return IdentifiabilitySection(
         parameters=list(verdict.names),
@@ -453,10 +447,7 @@ def plan_stages(state: RunState) -> RunState:
 def plan_measurements(
     state: RunState, request: PlanRequest, earlier: EarlierSession | None
 ) -> tuple[RunState, PlanOutcome]:
-    """The state with the plan that is requested, and the plan.
-
-    `earlier` is what an earlier session identified.
-    """
+    """The state with the requested plan, after an `earlier` session; and the plan."""
     state.progress.stage("plan")
     outcome = compute_plan(
         state.resolved,

@@ -142,10 +142,7 @@ class DesignSearch:
     def best_plan(
         self, rng: np.random.Generator, name: str = "", field: str = ""
     ) -> Choice:
-        """The best plan found by a criterion, of a field of [design]; the study's own.
-
-        Raises InputError.
-        """
+        """The best plan by a criterion, or the study's own. Raises InputError."""
         name, field = name or self.criteria.table.judged_by, field or self._main_field
         with self._refused(name, field):
             return self.problem.best_plan(self.criterion(name), rng)
@@ -363,10 +360,7 @@ def _reached_accuracy(search: DesignSearch, chosen: Choice) -> dict[str, float]:
 def _factors(
     search: DesignSearch, scale: Mapping[str, float]
 ) -> tuple[tuple[str, ...], Array]:
-    """Components, and factors (K, r, n) over the candidates' columns, by `scale`.
-
-    Only components in the scale; with an empty one, all that move, in SI.
-    """
+    """Components of the scale, or all, and factors (K, r, n) over the columns."""
     maps, c = search.criteria.needed_maps, search.problem.candidates
     measurement = c.measurement
     poses, _, machine_parameters = maps.raw.shape
@@ -451,10 +445,7 @@ MIN_STATED_WEIGHT = 1e-6
 
 
 def choose_relaxed(search: DesignSearch) -> tuple[Choice, RelaxedSummary]:
-    """The plan of the largest weights, and the weights.
-
-    Raises InputError where this plan leaves directions undetermined.
-    """
+    """The plan of the largest weights, and these. Raises InputError if undetermined."""
     problem, table = search.problem, search.criteria.table
     location = search.criteria.location.key("method")
     criterion = search.main_criterion
@@ -532,10 +523,7 @@ class ChosenDesign:
 def select_design(
     resolved: ResolvedStudy, rng: np.random.Generator
 ) -> ChosenDesign | None:
-    """The best plan found; None where the study has no design or no candidates.
-
-    Raises InputError where no plan under the rules serves the criterion.
-    """
+    """The best plan, or None without candidates. Raises InputError where none serves."""
     if not _has_design(resolved):
         return None
     expected = allowed_effects(resolved, rng)
@@ -641,10 +629,7 @@ def _compared(
 
 
 def _mounted(resolved: ResolvedStudy, series: list[Series]) -> Measurement:
-    """The machine with the set-ups that a plan uses.
-
-    Where recorded readings are to be fitted, with all set-ups.
-    """
+    """The machine with the plan's set-ups, or with all where readings are recorded."""
     readings = resolved.study.readings
     recorded = readings is not None and not readings.simulate
     if resolved.dataset is not None or recorded:
@@ -739,10 +724,7 @@ def compare_without(
     choice: Choice,
     rng: np.random.Generator,
 ) -> AllowedEffects:
-    """The choice beside the best plan for a machine without effects.
-
-    effects  at their expected sizes, which the search allows for
-    """
+    """The choice with effects, as expected, beside the best plan without them."""
     alone = DesignSearch.build(search.criteria.resolved)
     rigid = alone.best_plan(rng)
     criterion, criterion_alone = search.main_criterion, alone.main_criterion

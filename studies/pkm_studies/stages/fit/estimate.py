@@ -97,10 +97,7 @@ def _assumption_text(checked: CheckedSession, *, is_assumed: bool) -> CheckedSes
 
 
 def add_delivered(state: Measured, fitted: Goodness) -> Measured:
-    """The state whose check has the figures of the parameters that are delivered.
-
-    The check looked at a fit of its own, by the stated noise.
-    """
+    """The state whose check has the figures of the delivered fit, not of its own."""
     checked = state.checked
     if checked is None:
         return state.add_sections(goodness=fitted.section)
@@ -278,10 +275,7 @@ def session_states(state: Fitted) -> SessionStates:
 
 
 def states_in_use(state: Fitted) -> SessionStates:
-    """States in which the machine is used: those of [prediction], else those recorded.
-
-    Raises InputError for a covariate that no reading has.
-    """
+    """States of [prediction], else those recorded. Raises InputError."""
     problem = _problem(state)
     resolved = state.resolved
     used = {} if resolved.prediction is None else resolved.prediction.states
@@ -366,9 +360,7 @@ def _held_sentence(one: HeldParameter) -> str:
 def _commands(
     measurement: Measurement, series: Sequence[Series]
 ) -> list[dict[str, float]]:
-    """The commands that were read or read against, each once; none where only joints
-    are known.
-    """
+    """The commands that were read, each once; none where only joints are known."""
     commands = np.unique(np.vstack([s.command for s in series]), axis=0)
     finite = commands[np.isfinite(commands).all(axis=1)]
     return [displayed_command(measurement.machine, c) for c in finite]
@@ -594,10 +586,7 @@ def _drop_readings(
 
 
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
-    """Identify the parameters by least squares with tolerance priors.
-
-    `start` (n,), SI, is where the fit begins; nominal by default.
-    """
+    """Identify the parameters from `start` (n,), SI, or nominal, with tolerance priors."""
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
     estimate = _identify(state, start)

@@ -185,10 +185,7 @@ def _radii(points: Array) -> Array:
 
 
 def spots(diagnosis: Diagnosis) -> tuple[list[Spot], str]:
-    """Rms residual at each place of the tool, before and after; the unit of both.
-
-    Channels of different units are given in multiples of the stated noise.
-    """
+    """Rms residual at each place before and after; unit, or multiples of the noise."""
     problem = diagnosis.problem
     pairs = zip(problem.rows["setup"], problem.rows["channel"], strict=True)
     kinds = {_channel_unit(diagnosis, str(s), str(c)) for s, c in set(pairs)}
@@ -265,10 +262,7 @@ def measured_curves(
     predicted: Array,
     sd: Array,
 ) -> list[RunCurve]:
-    """A curve for each channel of each circle or line, from readings (N,), SI, as taken.
-
-    predicted, sd  what the identified machine reads there, and the sd of a reading
-    """
+    """A curve a channel and run of readings (N,), SI, as taken, beside predicted, sd."""
     nominal = _nominal_readings(measurement, series)
     curves = ReadingCurves(
         measured=measured - nominal, predicted=predicted - nominal, sd=sd
@@ -286,10 +280,7 @@ def _nominal_readings(measurement: Measurement, series: Sequence[Series]) -> Arr
 def compensated_series(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> list[Series] | None:
-    """The series at the joints of a controller with parameters theta (n,), SI.
-
-    None where commands are unknown or out of reach.
-    """
+    """The series at joints of a controller with theta (n,), SI; None if unknown."""
     machine_parameters = theta[: len(measurement.machine.parameters)]
     if not all(np.isfinite(s.command).all() and s.q.ndim == 2 for s in series):
         return None
