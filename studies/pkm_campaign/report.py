@@ -267,10 +267,7 @@ def _rows(summary: pd.DataFrame) -> Rows:
 
 
 def read_table(campaign: Campaign, out: Path) -> pd.DataFrame:
-    """One row a case, in the order of the campaign, however it was run.
-
-    Without processor times, so that the same campaign gives the same table.
-    """
+    """One row a case, in the campaign's order, without processor times: always the same."""
     import pandas as pd
 
     rows = [jobs.read_row(path) for path in case_paths(campaign, out)]

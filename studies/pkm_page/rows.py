@@ -163,10 +163,7 @@ def skipped_rows(
     content: FileContent,
     reason: str,
 ) -> list[dict[str, str]]:
-    """Rows for a pose that is skipped: as of a reading, without its value.
-
-    One that is relative to a reference is in a run of its own, which no reading joins.
-    """
+    """Rows for a skipped pose, without a value; a relative one is a run of its own."""
     columns = entry_columns(measurement, series.setup)
     fresh = dataclasses.replace(content, rows=())
     new = reading_rows(measurement, series, row, [0.0] * len(columns), fresh)

@@ -155,10 +155,7 @@ def _renamed(mesh: BedMesh, setups: Collection[str]) -> BedMesh:
 
 
 def explanations(meshes: Collection[BedMesh], geometry: str) -> list[str]:
-    """What meshes say of a geometry, taken before its calibration or after it.
-
-    geometry  what the firmware has, `M665 and M666` or the like
-    """
+    """When meshes count for a geometry: with words of the firmware, `M665 and M666`."""
     if not meshes:
         return []
     return [

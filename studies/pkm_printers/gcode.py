@@ -137,10 +137,7 @@ class _Log(NamedTuple):
 
 
 def _is_in_time(lines: list[TextLine]) -> _Log:
-    """The lines of a file, turned round where the newest stands first.
-
-    A line without a time goes with the last one above it. Raises InputError.
-    """
+    """The lines of a file, the oldest first. Raises InputError for times that jump."""
     stamps = {k: s for k, line in enumerate(lines) if (s := Stamp.leading(line.text))}
     starts, times = list(stamps), list(stamps.values())
     between = Stamp.steps(times)

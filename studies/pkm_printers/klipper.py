@@ -352,10 +352,7 @@ def check_positions(
     positions: Mapping[str, tuple[Entry, Sequence[float], float]],
     geometry: PrinterGeometry,
 ) -> None:
-    """Refuse positions from which the tool is far from where it was. Raises InputError.
-
-    positions  by option: its entry, travels (3,), and the height of the tool, mm
-    """
+    """Refuse positions by option, travels (3,), that miss a height, mm. Raises InputError."""
     limit = WRONG_HEIGHT_SHARE * geometry.stop
     for option, (entry, travels, height) in positions.items():
         miss = _tool_height(np.asarray(travels), geometry) - height

@@ -156,10 +156,7 @@ def _si_numbers(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> 
 
 
 def read_draws(path: Path, free: list[str]) -> Array | None:
-    """Draws (draws, n) of the free parameters, SI; None where some are absent.
-
-    Raises InputError where the file does not hold draws.
-    """
+    """Draws (draws, n) of free parameters, SI; None if some lack. Raises InputError."""
     import xarray  # takes a second to import, and only a plan after a session needs it
 
     try:

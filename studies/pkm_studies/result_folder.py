@@ -86,10 +86,7 @@ def add_files(
 
 
 def rewrite(folder: Path, result: StudyResult) -> None:
-    """Write result.json of a folder again, and the reports that the folder has.
-
-    Its verdicts are those of the result as it is now: an acceptance test confirms them.
-    """
+    """Write result.json again with present verdicts, and the reports that there are."""
     result = msgspec.structs.replace(result, verdicts=accuracy_verdicts(result))
     set_aside_foreign(folder)
     write_result(folder, result)
@@ -130,10 +127,7 @@ def set_aside_foreign(folder: Path) -> list[str]:
 
 
 def write_result(folder: Path, result: StudyResult) -> None:
-    """Write result.json; where its folder refuses it, into a temporary one.
-
-    Raises InputError which says where it is: it may have taken hours.
-    """
+    """Write result.json, or a temporary one. Raises InputError that says where it is."""
     encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
     try:
         safe_files.write_own(folder / RESULT, encoded)

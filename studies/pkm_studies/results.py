@@ -41,10 +41,7 @@ MAX_TEXT_CHARACTERS = 200
 def check_claims(
     study: StudyFile, result: Mapping[str, Any], only: tuple[str, ...] | None = None
 ) -> list[Claim]:
-    """Each claim of [expect], in order, on a result as plain tables and lists.
-
-    `only`: names of sections; claims about other sections are left out.
-    """
+    """Each claim of [expect], in order, of the sections `only`, on a result as tables."""
     claims = []
     for name, table in study.expect.items():
         section = re.split(r"[.\[]", table.of)[0]

@@ -89,10 +89,7 @@ def listing(kind: str) -> list[CatalogueEntry]:
 def machine(
     reference: str, origin: Origin, location: Location, *, assembled: bool = True
 ) -> Any:
-    """The `oed.model.Machine` that `reference` names. Raises InputError.
-
-    assembled  whether the home pose of a user's own must assemble
-    """
+    """The `oed.model.Machine` of a name, one's own `assembled`. Raises InputError."""
     from oed.model import Machine
     from pkm_studies.catalogue import machine_check as soundness
 

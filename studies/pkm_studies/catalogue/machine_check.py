@@ -21,10 +21,7 @@ DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[
 def check_machine(
     machine: Machine, location: Location, *, assembled: bool = True
 ) -> None:
-    """Raises InputError that names the function that does not fit.
-
-    Also where the home pose does not assemble, if it must be `assembled`.
-    """
+    """Raises InputError for functions that do not fit, or a home not `assembled`."""
     _check_closure(machine, location)
     _check_sizes(machine, location)
     _check_read_error(machine, location)

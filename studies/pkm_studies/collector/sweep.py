@@ -54,10 +54,7 @@ class VariedStudy:
 
     @functools.cached_property
     def result(self) -> StudyResult:
-        """Everything that `oed run` computes. The study runs at the first use.
-
-        Where the data that it reads is absent, the test is skipped.
-        """
+        """All that `oed run` computes, at the first use; without its data the test is skipped."""
         content = f"{self.study.path.resolve()}\n{self.study.text}".encode()
         folder = self._folder / hashlib.sha256(content).hexdigest()[:24]
         try:
@@ -190,10 +187,7 @@ def shared_folder(factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(study: Study, folder: Path) -> None:
-    """Run a study into a folder, which then appears whole.
-
-    Where another process was faster, its result, which is the same, stays.
-    """
+    """Run a study into a folder that appears whole, unless another process was faster."""
     working = Path(tempfile.mkdtemp(dir=folder.parent, prefix="running-"))
     report = any(table.of.startswith("report") for table in study.expect.values())
     try:

@@ -192,10 +192,7 @@ def _n_readings(data: Dataset) -> int:
 def _check_readings(
     path: Path, resolved: Sequence[ResolvedStudy], *, has_study: bool
 ) -> Verdict:
-    """What a readings file holds, by the studies that name it, or by all.
-
-    has_study  whether a study was given, which may have an error
-    """
+    """What a readings file holds, by the studies that name it, or by all."""
     if not resolved:
         rows = sources.check_text(path)
         rest = (
@@ -230,10 +227,7 @@ KINDS = (".png", ".svg", ".pdf")
 
 
 def draw_machine(path: Path, picture: Path, consent: Consent = Consent.RECORDED) -> str:
-    """Write the picture of a study's machine, or of a machine's file; what it shows.
-
-    Raises InputError where the machine's functions do not fit one another.
-    """
+    """Write the picture of a machine; what it shows. Raises InputError."""
     if picture.suffix.lower() not in KINDS:
         raise InputError(
             "no kind of picture",

@@ -133,10 +133,7 @@ def _answer(judgement: str, reason: str) -> str:
 def _possible_errors(
     study: Study, result: StudyResult, section: PredictionSection, folder: Path
 ) -> tuple[Array, Array]:
-    """Rms errors (k,) before any reading, and (DRAWS, k) of estimates of right numbers.
-
-    They are those of the k driven components, in their fine units.
-    """
+    """Rms (k,) driven, before readings; (DRAWS, k) of right numbers; fine units."""
     resolved = resolve(study)
     assert resolved.prediction is not None  # the section comes of it
     measurement, machine = resolved.measurement, resolved.machine

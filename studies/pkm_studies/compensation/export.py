@@ -100,10 +100,7 @@ def build_compensation(
 def _add_forecast(
     content: Compensation, section: ForecastSection, controller: ControllerFormat
 ) -> Compensation:
-    """The content with the measured errors, in a format whose table takes them.
-
-    Where the controller holds an earlier compensation, they were measured under it.
-    """
+    """The content with measured errors under the held compensation, if a table takes them."""
     phrase = "errors measured at nodes (oed forecast)"
     if not controller.table or content.held:
         note = f"{phrase} are not in this file: forecast_table.csv comes on top of it"
@@ -339,10 +336,7 @@ def verdict_sentences(
 
 
 def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
-    """A sentence on components without a drive, from their errors (n, k), SI.
-
-    None for a machine that drives all its components.
-    """
+    """A sentence on undriven components, from errors (n, k), SI; None without any."""
     largest = np.abs(remaining).max(axis=0)
     parts = [
         f"{component.name} {quantity(size, component.unit)}"

@@ -77,10 +77,7 @@ def span_of_values(
 def prediction_table(
     machine: Machine, errors: PredictionReference = "home", share: float = SHARES[0]
 ) -> str:
-    """The table [prediction]; `errors`, what the errors refer to.
-
-    share  of the workspace that its poses span
-    """
+    """The table [prediction] over a `share` of the workspace; `errors`: their reference."""
     axes = "\n".join(axis(c, machine, share) for c in machine.command)
     driven = next((c for c in machine.components if c.compensatable), None)
     limit = ""

@@ -59,10 +59,7 @@ def _size(match: re.Match[str]) -> float | None:
 
 
 def with_time(draft: str, seconds: float, tool: Instrument) -> str:
-    """A draft with as many readings as a time has, mounting and reading counted.
-
-    Raises InputError where it has not even the fewest.
-    """
+    """A draft with as many readings as a time has. Raises InputError below the fewest."""
     count = int((seconds - tool.cost.setup) / max(tool.cost.reading, 1.0))
     if count < FEWEST:
         least = (tool.cost.setup + FEWEST * tool.cost.reading) / units.MINUTE

@@ -419,10 +419,7 @@ class Thinned:
 
 
 def thin(angle: Array, reading: Array, time: Array, most: int) -> Thinned:
-    """A trace (n,) as at most `most` means of blocks of equal length.
-
-    Points beyond the last whole block, fewer than a block, are left out.
-    """
+    """A trace (n,) as at most `most` means of whole blocks of equal length."""
     block = max(1, -(-len(angle) // most))
     count = len(angle) // block
 

@@ -58,10 +58,7 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Location]:
 
 
 def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> Model:
-    """The machine of --machine, or of the map. Raises InputError.
-
-    --machine is a model, a file of the user's, or a study whose machine is meant.
-    """
+    """The machine of --machine (model, file or study), or of the map. Raises InputError."""
     if isinstance(request.machine, str) and request.machine.endswith(".toml"):
         study = studies.Study.load(request.machine, request.consent)
         machine = study_machine(study)
@@ -89,10 +86,7 @@ def instrument(
     machine: Machine,
     default: str | None = None,
 ) -> tuple[Instrument, str]:
-    """The instrument of the map, or a default, with its reference. Raises InputError.
-
-    It has the channels that it has on the machine.
-    """
+    """The instrument of the map, or a default, on the machine. Raises InputError."""
     reference = column_map.instrument or default
     field = location.key("instrument")
     if reference is None:
@@ -144,10 +138,7 @@ def imported_study(
     noise: Mapping[str, object],
     errors: PredictionReference = "home",
 ) -> str:
-    """The study of set-ups with their readings; the noise law is estimated.
-
-    errors  what the predicted errors refer to
-    """
+    """The study of set-ups with readings; `errors`: what predicted ones refer to."""
     tables = {
         "schema": 1,
         "name": request.name,

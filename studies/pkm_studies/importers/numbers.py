@@ -120,10 +120,7 @@ def _instrument(stems: set[str], machine: Machine, table: CsvTable) -> str:
 def _ends_as_rows(
     table: CsvTable, stems: Mapping[str, str]
 ) -> tuple[CsvTable, dict[str, str]]:
-    """Each measured distance as a run of two rows, its ends; other tables as they are.
-
-    Raises InputError for distances without ends.
-    """
+    """Each measured distance as a run of its two ends. Raises InputError without ends."""
     ends = [
         {s.replace(f"{end}_", "_"): name for name, s in stems.items() if f"{end}_" in s}
         for end in ENDS

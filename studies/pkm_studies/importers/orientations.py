@@ -165,10 +165,7 @@ def check_sense(
 
 
 def _turns_about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]:
-    """Rms angle, rad, of rotations about their mean, and that of the mean.
-
-    Without the turn about z, of their third axes.
-    """
+    """Rms angle, rad, of rotations, or their third axes, about their mean; and its own."""
     if is_whole:
         mean = turns.mean()
         angles = np.atleast_1d((mean.inv() * turns).magnitude())

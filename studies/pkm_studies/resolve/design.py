@@ -260,10 +260,7 @@ def circles(
     measurement_with: Callable[[Iterable[str]], Measurement],
     plans: Sequence[ReferencePlan] = (),
 ) -> Circles:
-    """The circles of the [[kappa]] table number `i`. Raises InputError.
-
-    plans  reference plans, one of which may be read as well
-    """
+    """The circles of [[kappa]] number `i`, and of a plan with them. Raises InputError."""
     location = study.location.path("kappa", i)
     setups = [s.name for s in study.setup]
     name = known_name(table.setup, setups, location.key("setup"))
@@ -595,10 +592,7 @@ def design_request(
     references: Sequence[ReferencePlan],
     candidates: Sequence[Series],
 ) -> DesignRequest | None:
-    """What [design] requests; None without it. `measurement` holds all set-ups.
-
-    Raises InputError for fields that contradict each other or do not fit the machine.
-    """
+    """What [design] requests of all set-ups; None without it. Raises InputError."""
     table = study.design
     if table is None:
         return None

@@ -297,10 +297,7 @@ class GapRequest:
 
     @classmethod
     def from_study(cls, study: Study, machine: Machine) -> GapRequest:
-        """What [gap] requests, or its defaults without the table.
-
-        Raises InputError for unknown effects and constants, and for gravity of length 0.
-        """
+        """What [gap] requests, or its defaults without the table. Raises InputError."""
         table = GapTable() if study.gap is None else study.gap
         location = study.location.key("gap")
         if not np.linalg.norm(table.gravity) > 0.0:
@@ -655,10 +652,7 @@ class GapDesignRequest:
 def gap_design_request(
     study: Study, references: Sequence[ReferencePlan], measurement: Measurement
 ) -> GapDesignRequest | None:
-    """What [gap.design] requests; None without it. `measurement` has all set-ups.
-
-    Raises InputError for unknown effects and plans, and for rules that allow nothing.
-    """
+    """What [gap.design] requests of all set-ups; None without it. Raises InputError."""
     if study.gap is None or study.gap.design is None:
         return None
     table = study.gap.design

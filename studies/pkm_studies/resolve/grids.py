@@ -612,10 +612,7 @@ def reference_command(
     every_min: float,
     location: Location,
 ) -> Array | None:
-    """The reference's command (n_dof,) in a set-up; None for the route's first pose.
-
-    Raises InputError where the set-up has a reference of its own, or the pose is none.
-    """
+    """The reference's command (n_dof,), or None: the route's first. Raises InputError."""
     setup = measurement.setups[name]
     if setup.instrument.reference == "run":
         raise location.key("reference_every_min").error(

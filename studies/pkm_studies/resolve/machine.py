@@ -125,10 +125,7 @@ AMOUNTS = ("step", "sd", "most")
 def add_adjustments(
     table: MachineTable, machine: Machine, location: Location
 ) -> Machine:
-    """The machine with the study's adjustments in place of the model's, if it has any.
-
-    Raises InputError for names and units that do not fit, and for amounts below 0.
-    """
+    """The machine with the study's adjustments, if any. Raises InputError."""
     if table.adjust is None:
         return machine
     fixed = machine.frame if table.fixed is None else ()

@@ -580,10 +580,7 @@ class ResolvedStudy:
     def resume_plan(
         self, table: PlanTable, machine: Machine, done: Iterable[str]
     ) -> tuple[Self, PlanRequest]:
-        """The study about a machine as identified, and what [plan] then requests.
-
-        done  set-ups whose readings are taken: their measurements are left out
-        """
+        """The study about the identified machine, and [plan] without set-ups that are `done`."""
         controller = self.measurement.kinematics.controller
         kinematics = Kinematics(machine).with_controller(controller)
         measurement_with = measurement_factory(kinematics, self.setups)

@@ -176,10 +176,7 @@ MAX_TOLERANCES = 4.0
 def fleet_knowledge(
     study: Study, machine: Machine, free: Sequence[str], location: Location
 ) -> tuple[Array, Array]:
-    """Mean (n,) and covariance (n, n), SI, of the free parameters of a further machine.
-
-    Raises InputError where a result is not of this model, or has a prior of its own.
-    """
+    """Mean (n,), covariance (n, n), SI, of a further machine. Raises InputError."""
     indices = [machine.index(name) for name in free]
     nominal = machine.nominal[indices]
     tolerance = np.array([machine.parameters[k].tolerance for k in indices])

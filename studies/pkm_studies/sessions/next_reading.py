@@ -227,10 +227,7 @@ class Adviser:
     def advise_fitted(
         self, fitted: FittedReadings | None, skipped: Sequence[SkippedPose] = ()
     ) -> Advice:
-        """The advice after readings that are fitted; None: before the first one.
-
-        skipped  poses that are not advised. Raises InputError where nothing else is.
-        """
+        """Advice after fitted readings, or none; no `skipped` poses. Raises InputError."""
         if fitted is None:
             measurement = self.base.measurement
             effects = effects_at(self.base, measurement, ())

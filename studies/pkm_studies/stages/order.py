@@ -102,10 +102,7 @@ def steps_from_readings(state: Scheduled) -> list[Step]:
 
 
 def designed(study: Study, seed: int | None) -> Scheduled:
-    """The state with the chosen design, its verdict and its section of the result.
-
-    Raises InputError where the study has no candidates.
-    """
+    """The state with the chosen design and its verdict. Raises InputError."""
     state = select_design(RunState.start(study, seed, Silent(), []))
     if state.design is None:
         raise study.location.key("design").error(
@@ -115,10 +112,7 @@ def designed(study: Study, seed: int | None) -> Scheduled:
 
 
 def recorded(study: Study, files: Sequence[Path] | None) -> Measured:
-    """The state with recorded readings, not checked; the study's own where None.
-
-    Raises InputError where the study names none.
-    """
+    """The state with unchecked readings, given or the study's. Raises InputError."""
     state = RunState.start(study, None, Silent(), files)
     data = state.resolved.dataset
     if data is None:
@@ -169,10 +163,7 @@ def virtual_fit(state: Scheduled) -> VirtualFit:
 
 
 def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
-    """Check readings and what they identify, then fit them. Raises IdentificationError.
-
-    theta  (n,) parameters where the fit begins, SI; nominal by default
-    """
+    """Check and fit readings from theta (n,), SI, or nominal. Raises IdentificationError."""
     return fit_parameters(analyse_identifiability(check_readings(state)), theta)
 
 

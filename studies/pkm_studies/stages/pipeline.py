@@ -75,10 +75,7 @@ def _stage_cells(stage: result.StageRecord) -> list[object]:
 
 
 def poses_json(plan: PlanOutcome) -> str:
-    """Commanded poses of each stage in working order, in user units.
-
-    Each pose has the nominal joints and the nominal reading.
-    """
+    """Poses of each stage in working order, with joints and readings, in user units."""
     stages = []
     records = zip(plan.section.stages, plan.scheduled, strict=True)
     for number, (record, series) in enumerate(records, start=1):
@@ -235,10 +232,7 @@ def _files_of(study: Study) -> list[Path]:
 
 
 def _stored(folder: Path, machine: str) -> tuple[list[list[Path]], list[str]]:
-    """Files of each session of an earlier diagnosis, the earliest first.
-
-    And the digests of their readings.
-    """
+    """Files of each earlier session, oldest first, and digests of their readings."""
     stored = load_result(folder)
     if stored.machine.name != machine:
         raise InputError(
@@ -450,10 +444,7 @@ def _take(state: RunState, steps: Sequence[order.Step], out: Path) -> Any:
 
 
 def _write_before(error: Exception, state: RunState, out: Path) -> None:
-    """Write what was computed before an error, if anything, and let the error say so.
-
-    The result of an earlier run is set aside.
-    """
+    """Write what there was before an error, which says so; an earlier result is set aside."""
     if not isinstance(state, Scheduled) or state.identifiability is None:
         return
     if (out / result_folder.RESULT).is_file():

@@ -110,10 +110,7 @@ def _recorded(state: RunState, data: Dataset) -> MeasuredReadings:
 
 
 def planned_series(state: RunState) -> tuple[Series, ...]:
-    """The chosen readings, or those of the plan, or of the first reference plan.
-
-    Raises InputError where there is none.
-    """
+    """The chosen readings, or of the plan, or a reference plan. Raises InputError."""
     if state.design is not None:
         return state.design.series
     if state.plan is not None:

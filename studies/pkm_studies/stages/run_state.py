@@ -140,10 +140,7 @@ class RunState:
         progress: Progress,
         readings: Sequence[Path] | None,
     ) -> RunState:
-        """The state before the first step. Raises InputError for what the study misstates.
-
-        `readings` replace those that the study names; with an empty list, none are read.
-        """
+        """The state before the first step, with given readings. Raises InputError."""
         started = time.perf_counter()
         progress.stage("set-up")
         resolved = resolve(study, readings=readings)
@@ -256,10 +253,7 @@ class WithheldError(LookupError):
 def written(
     section: T | None, name: str, withheld: Mapping[str, str] | None = None
 ) -> T:
-    """A section of the result. Raises WithheldError where no step has written it.
-
-    withheld  why steps left out sections, by their names
-    """
+    """A section of the result. Raises WithheldError with the reason in `withheld`."""
     if section is None:
         reason = (withheld or {}).get(name, "its step has not run")
         raise WithheldError(f"the result has no section {name}: {reason}")

@@ -112,10 +112,7 @@ def _converted_table(
 def tables_of(
     text: str, location: Location, remedy: str = "mend it there"
 ) -> dict[str, Any]:
-    """The tables of a TOML file, each value checked. Raises InputError.
-
-    remedy  where it is no TOML
-    """
+    """The tables of a TOML file, each value checked. Raises InputError."""
     try:
         table = tomllib.loads(text)
         check_values(table, location)

@@ -82,10 +82,7 @@ def file_name(reference: str) -> str:
 
 
 def run_file(name: str, origin: Origin, location: Location) -> ModuleType:
-    """The module of a Python file, which runs once a process.
-
-    Raises InputError where it may not run, is missing, or fails.
-    """
+    """The module of a Python file, run once a process if it may. Raises InputError."""
     path = _permitted_path(name, origin, location)
     source = _source(path, location)
     digest = hashlib.sha256(source).hexdigest()
@@ -237,10 +234,7 @@ def allow(path: Path, digest: str) -> None:
 
 
 def is_trusted(*paths: Path) -> bool:
-    """Whether each path lies in some folder that the user trusts.
-
-    Raises InputError for settings that cannot be read.
-    """
+    """Whether each path lies in a trusted folder. Raises InputError for bad settings."""
     folders = list(trusted_folders())
     return all(_lies_in(path, folders) for path in paths)
 

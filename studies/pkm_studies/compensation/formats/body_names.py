@@ -50,10 +50,7 @@ def skeleton_of(content: Compensation, values: Array) -> PlatformOnLimbs:
 def draws_table(
     content: Compensation, numbers: Callable[[Array], Mapping[str, float]]
 ) -> str:
-    """CSV of parameters and of the model's numbers, one draw of the posterior a row.
-
-    Numbers that no draw changes are left out, and draws that do not assemble.
-    """
+    """CSV of parameters and numbers that vary, a row each draw that assembles."""
     rows = []
     for values in content.draws if content.draws is not None else ():
         try:

@@ -120,10 +120,7 @@ def drawn_machine(tree: BodyTree, location: Location) -> DrawnMachine:
 
 
 def _parallelograms(limbs: list[DrawnLimb], location: Location) -> list[DrawnLimb]:
-    """One limb for two parallel rods on a drive: they keep a platform from turning.
-
-    Raises InputError for other limbs that share a drive.
-    """
+    """One limb for two parallel rods on a drive. Raises InputError for other pairs."""
     pairs: dict[int, list[DrawnLimb]] = {}
     for limb in limbs:
         pairs.setdefault(id(limb.drive.joint), []).append(limb)

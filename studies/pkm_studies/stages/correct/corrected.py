@@ -186,10 +186,7 @@ def corrected_section(
     used: StudyWorkspace,
     warnings: Sequence[str],
 ) -> CorrectedSection:
-    """The section of an estimate, with tables of its effects over a box of commands.
-
-    `used` is where the corrected model is used, `warnings` those of the fit.
-    """
+    """The section, with tables of effects where it is `used`, and warnings of the fit."""
     measurement, estimate = corrected.measurement, corrected.estimate
     truth = state.readings.truth
     if truth is not None:

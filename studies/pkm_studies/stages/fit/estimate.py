@@ -306,10 +306,7 @@ def estimate_section(
     estimate: Estimate,
     truth: Array | None,
 ) -> EstimateSection:
-    """Parameters in display units, residuals in the fine unit of their channel.
-
-    `truth` (n,) are the parameters of a virtual machine, SI.
-    """
+    """Parameters in display, residuals in fine units; `truth` (n,) of a virtual machine."""
     channels = [
         channel
         for s in series

@@ -73,10 +73,7 @@ MAX_SPREADS = 5.0
 def implausible_sentences(
     coefficients: Iterable[CoefficientRecord], checks: Mapping[str, str]
 ) -> list[str]:
-    """One sentence for each effect with an implausible coefficient, the farthest off.
-
-    checks  {effect: what to check then; "" for nothing in particular}
-    """
+    """One sentence an effect with implausible coefficients; checks {effect: what}."""
     worst: dict[str, tuple[float, CoefficientRecord]] = {}
     for c in coefficients:
         ratio = abs(c.value) / c.prior_sd if c.prior_sd and not c.shape else 0.0
@@ -141,10 +138,7 @@ def place_names(gap: GapSection) -> list[str]:
 
 
 def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
-    """Significant places in the diagnosis' order: the one that confines best first.
-
-    Of two places of the same readings the first stands for both.
-    """
+    """Significant places, the one that confines best first, each reading set once."""
     places: list[PlaceRecord] = []
     for record in where:
         if record.p_value < MAX_P_VALUE and not any(_same(record, o) for o in places):

@@ -119,10 +119,7 @@ SAME_VALUE = 1e-6
 def compare_sequence(
     task: PlanTask, names: Sequence[str], search: PlanSearchResult
 ) -> result.SequenceRecord:
-    """A sequence's rank, indices, time and accuracy, and the best plan of its time.
-
-    Raises InputError where the time pays for none of its measurements.
-    """
+    """A sequence beside the best plan of its time. Raises InputError for too little."""
     sequence = predict_sequence(task, names)
     seconds = sequence.seconds
     if seconds > task.budget * (1.0 + SAME_VALUE):
@@ -486,10 +483,7 @@ def add_realisations(
 
 
 def drop_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
-    """The best plan, without last stages that gain less than the study's `worth`.
-
-    A plan of fewer stages that is nearly as accurate takes its place.
-    """
+    """The best plan without last stages of little worth, or nearly as good a shorter one."""
     best = search.best
     if not task.table.worth or task.goal.has_targets:
         return best

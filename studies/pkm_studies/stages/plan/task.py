@@ -117,10 +117,7 @@ class EarlierSession:
 def read_earlier_session(
     resolved: ResolvedStudy, request: PlanRequest, folder: Path, stored: StudyResult
 ) -> EarlierSession:
-    """What the result `stored` in `folder` tells about the study's machine.
-
-    Raises InputError where the result does not fit the study.
-    """
+    """What a result in `folder` tells about the machine. Raises InputError."""
     machine = resolved.machine
     measurement = resolved.measurement_with(())
     free = measurement.free_names
@@ -152,10 +149,7 @@ def read_earlier_session(
 def stored_knowledge(
     resolved: ResolvedStudy, stored: StudyResult, folder: Path
 ) -> EstimatedParameters | None:
-    """The machine's parameters as identified in a folder; None where none were.
-
-    Raises InputError where the result is about another machine.
-    """
+    """The machine's parameters as identified in a folder, if any. Raises InputError."""
     if stored.final_estimate is None:
         return None
     machine = resolved.machine

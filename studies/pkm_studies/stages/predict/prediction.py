@@ -111,10 +111,7 @@ def accuracy_section(
 def component_accuracies(
     machine: Machine, prediction: Prediction, of_sources: Mapping[str, dict[str, float]]
 ) -> dict[str, ComponentAccuracy]:
-    """A prediction by component, in its fine unit.
-
-    of_sources  {component: share of its variance by source}
-    """
+    """A prediction by component in its fine unit, with shares of sources."""
     records = {}
     for component in machine.components:
         name, fine = component.name, units.FINE[component.unit]
@@ -331,10 +328,7 @@ def held_out_sections(
     drawn: Sequence[HypothesisDraws],
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
-    """One section for each series and channel of the held-out readings.
-
-    drawn  by each hypothesis, as many as its share
-    """
+    """One section for each held-out series and channel; draws by hypotheses."""
     mean = np.vstack([machines.theta for machines in drawn]).mean(axis=0)
     sections = []
     start = 0
