@@ -10,8 +10,13 @@ import msgspec
 
 from oed.mechanism import AssemblyError
 from oed.text import shorten
-from pkm_campaign.case import COLUMNS, CaseFunction, Figures, UserFunction
-from pkm_campaign.virtual_machine import VirtualMachine
+from pkm_campaign.case import (
+    COLUMNS,
+    CaseFunction,
+    Figures,
+    UserFunction,
+    VirtualMachine,
+)
 from pkm_studies import files, shipped
 from pkm_studies.base import InputError, Location, Name
 from pkm_studies.resolve import resolve

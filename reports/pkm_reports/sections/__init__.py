@@ -32,11 +32,10 @@ from pkm_reports.sections import (
 )
 
 if TYPE_CHECKING:
-    from pkm_reports.sections.answer import answer_parts
+    from pkm_reports.sections.answer import answer_parts, first_lines
     from pkm_reports.sections.comparison import comparison_parts
     from pkm_reports.sections.corrected import adjustment_blocks
     from pkm_reports.sections.machine_figures import draw_closure
-    from pkm_reports.sections.terminal import first_lines
 else:
     __getattr__ = door(__name__)
 
