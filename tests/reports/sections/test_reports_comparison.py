@@ -12,7 +12,7 @@ from report_fixture_fit import spread
 
 from oed.result import StudyResult
 from pkm_reports import text, write_comparison
-from pkm_reports.report import content
+from pkm_reports.comparison import content
 from pkm_reports.sections import comparison as side_by_side
 from pkm_studies.commands import main
 from pkm_studies.sessions import history
