@@ -219,7 +219,9 @@ def write_pentapod(compensation: Compensation) -> Texts:
     return {".hal": "\n".join([*hal, ""]), ".ini": ini_homes(head, zeros, nominal)}
 
 
-def ini_homes(head: Sequence[str], zeros: Sequence[float], nominal: Sequence[float]) -> str:
+def ini_homes(
+    head: Sequence[str], zeros: Sequence[float], nominal: Sequence[float]
+) -> str:
     """The INI file: strut lengths at a joint of 0, mm, identified and nominal."""
     lines = [
         *head,
