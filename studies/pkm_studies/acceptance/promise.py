@@ -88,9 +88,8 @@ class PromisedAccuracy:
         command = _poses(used)
         maps = ErrorMaps.of(kinematics, command, reference)
         covariance, tolerance = covariances(machine, section)
-        variance = np.einsum(
-            "mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True
-        )
+        raw = maps.raw
+        variance = np.einsum("mkp,pq,mkq->k", raw, covariance, raw, optimize=True)
         varying = np.flatnonzero(variance > 0.0).tolist()
         driven = [k for k in varying if machine.components[k].compensatable]
         uncertainty_by_name = _instrument_uncertainty(result, machine, reference)
@@ -101,13 +100,12 @@ class PromisedAccuracy:
         def promise(chosen: list[int]) -> Promise:
             """The promise for some components."""
             names = tuple(machine.components[k].name for k in chosen)
-            slope = maps.raw[:, chosen]
+            slope = raw[:, chosen]
             rms = promised_rms(
                 result, machine, slope[: len(workspace)], chosen, covariance
             )
-            rms = np.array(
-                [promised.get(n, r) for n, r in zip(names, rms, strict=True)]
-            )
+            pairs = zip(names, rms, strict=True)
+            rms = np.array([promised.get(n, r) for n, r in pairs])
             shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
             sds = [uncertainty_by_name.get(name, share) for name, share in shares]
             return Promise(

@@ -166,6 +166,15 @@ def compensate(
     return DONE
 
 
+Uncertainty = Annotated[
+    str,
+    typer.Option(
+        metavar="z_um=2,...",
+        help="Standard uncertainty of a measured error [by the study's instrument].",
+    ),
+]
+
+
 def verify(
     folder: StoredResult,
     readings: Annotated[
@@ -181,13 +190,7 @@ def verify(
             metavar="z_um=30,...", help="Rms errors to confirm [the predicted ones]."
         ),
     ] = "",
-    uncertainty: Annotated[
-        str,
-        typer.Option(
-            metavar="z_um=2,...",
-            help="Standard uncertainty of a measured error [by the study's instrument].",
-        ),
-    ] = "",
+    uncertainty: Uncertainty = "",
     power: Annotated[
         float, typer.Option(min=0.1, max=0.999, help="Power that is asked for.")
     ] = 0.9,
