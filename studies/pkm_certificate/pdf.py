@@ -29,7 +29,11 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         Section("head", "Machine, laboratory and customer", [_head(c)]),
         Section("conformity", "Conformity", _conformity(c)),
         Section("accuracy", "Accuracy", _accuracy(c)),
-        Section("conditions", "What the figures rest on", [Items(_sentences(c))]),
+        Section(
+            "conditions",
+            "What the figures rest on",
+            [Items([f"{s[0].upper()}{s[1:].rstrip('.')}." for s in c.conditions])],
+        ),
     ]
     content = Content(
         title="Calibration certificate",
@@ -43,10 +47,6 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
     )
     page = Document(content).pdf()
     return write_own(folder / "certificate.pdf", page)
-
-
-def _sentences(c: Certificate) -> list[str]:
-    return [f"{s[0].upper()}{s[1:].rstrip('.')}." for s in c.conditions]
 
 
 def _head(c: Certificate) -> Facts:

@@ -132,10 +132,6 @@ def rms_by_component(results: Results) -> dict[str, dict[str, tuple[float, str]]
     return sizes
 
 
-def _study(result: StudyResult) -> str:
-    return result.title or result.study
-
-
 def _readings(result: StudyResult) -> str:
     if result.design is not None:
         return str(result.design.n)
@@ -148,10 +144,6 @@ def _readings(result: StudyResult) -> str:
 def _setups(result: StudyResult) -> str:
     setups = used_setups(result)
     return text.listing(f"{s.name} ({s.instrument})" for s in setups)
-
-
-def _time(result: StudyResult) -> str:
-    return text.quantity(minutes(result), "min", 2)
 
 
 def _determined(result: StudyResult) -> str:
@@ -184,21 +176,17 @@ def _claims(result: StudyResult) -> str:
     return f"{met} of {len(result.claims)} met"
 
 
-def _warnings(result: StudyResult) -> str:
-    return str(len(result.warnings))
-
-
 ROWS: Final[tuple[tuple[str, Callable[[StudyResult], str]], ...]] = (
-    ("Study", _study),
+    ("Study", lambda result: result.title or result.study),
     ("Machine", lambda result: result.machine.name),
     ("Set-ups", _setups),
     ("Readings", _readings),
-    ("Time", _time),
+    ("Time", lambda result: text.quantity(minutes(result), "min", 2)),
     ("Determined", _determined),
     ("Certificate", _certificate),
     ("Residual after the fit, rms", _residual),
     ("Claims", _claims),
-    ("Warnings", _warnings),
+    ("Warnings", lambda result: str(len(result.warnings))),
 )
 
 
@@ -442,7 +430,11 @@ def comparison_parts(
     """First page and chapters of a comparison of results by name."""
     answer = _present(
         Section("differences", "What differs", sentences(results)),
-        Section("changes", "What changed in the machine", _changes(changes)),
+        Section(
+            "changes",
+            "What changed in the machine",
+            [Items(list(changes))] if changes else [],
+        ),
         Section("glance", "At a glance", glance_blocks(results)),
         Section("side-accuracy", "How accurate", accuracy_blocks(results)),
     )
@@ -452,10 +444,6 @@ def comparison_parts(
         Section("side-causes", "Causes", cause_blocks(results)),
     )
     return answer, chapters
-
-
-def _changes(changes: Sequence[str]) -> list[Block]:
-    return [Items(list(changes))] if changes else []
 
 
 def _present(*sections: Section) -> list[Section]:

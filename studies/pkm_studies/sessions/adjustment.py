@@ -110,10 +110,6 @@ def adjustable_machine(
     )
 
 
-def _conditions(result: StudyResult) -> list[str]:
-    return [] if result.corrected is None else list(result.corrected.conditions)
-
-
 def _identifiable(
     machine: Machine, section: EstimateSection | CorrectedSection
 ) -> Machine:
@@ -209,7 +205,9 @@ def _section(
             )
             for a in plan.accuracy
         ],
-        conditions=_conditions(result),
+        conditions=[]
+        if result.corrected is None
+        else list(result.corrected.conditions),
     )
 
 

@@ -139,7 +139,9 @@ def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
         measurement = (
             state.measurement if state.plan is None else state.plan.measurement
         )
-        texts["poses.csv"] = _poses_csv(state.planned, measurement)
+        empty = np.full(len(measurement.setup_of_readings(state.planned)), np.nan)
+        readings = dataset.from_series(state.planned, empty, measurement)
+        texts["poses.csv"] = dataset.to_csv(readings, comments_of(measurement))
     if result.plan is not None:
         texts["plan.csv"] = stages_csv(result.plan)
     if state.plan is not None:
@@ -151,13 +153,6 @@ def _save_posterior(result: StudyResult, draws: Posterior, path: Path) -> Path:
     """Write the draws as NetCDF, for xarray and ArviZ."""
     attributes = {"study": result.study, "units": "SI", "seed": str(result.seed)}
     return posterior.save(draws, path, attributes)
-
-
-def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
-    """Planned readings as a readings file to fill in."""
-    empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
-    readings = dataset.from_series(series, empty, measurement)
-    return dataset.to_csv(readings, comments_of(measurement))
 
 
 def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) -> None:
