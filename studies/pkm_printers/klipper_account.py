@@ -19,6 +19,7 @@ from pkm_printers.words import (
     account,
     cost_sentence,
     costs,
+    options,
     refused,
     same,
 )
@@ -48,16 +49,10 @@ PRINTER: Final[dict[str, Word]] = {
     **same(READ, ("kinematics", "delta_radius")),
     **same(
         HARMLESS,
-        (
-            "max_velocity",
-            "max_accel",
-            "max_accel_to_decel",
-            "minimum_cruise_ratio",
-            "square_corner_velocity",
-            "max_z_velocity",
-            "max_z_accel",
-            "minimum_z_position",
-            "print_radius",
+        options(
+            "max_velocity max_accel max_accel_to_decel minimum_cruise_ratio"
+            " square_corner_velocity max_z_velocity max_z_accel minimum_z_position"
+            " print_radius"
         ),
     ),
 }
@@ -78,26 +73,12 @@ STEPPER: Final[dict[str, Word]] = {
     ),
     **same(
         HARMLESS,
-        (
-            "step_pin",
-            "dir_pin",
-            "enable_pin",
-            "step_pulse_duration",
-            "endstop_pin",
-            "position_min",
-            "position_max",
-            "homing_speed",
-            "homing_retract_dist",
-            "homing_retract_speed",
-            "second_homing_speed",
-            "homing_positive_dir",
-            "homing_accel",
-            "homing_stepper_phases",
-            "homing_endstop_accuracy",
-            "homing_endstop_phase",
-            "homing_endstop_align_zero",
-            "min_home_dist",
-            "use_sensorless_homing",
+        options(
+            "step_pin dir_pin enable_pin step_pulse_duration endstop_pin position_min"
+            " position_max homing_speed homing_retract_dist homing_retract_speed"
+            " second_homing_speed homing_positive_dir homing_accel"
+            " homing_stepper_phases homing_endstop_accuracy homing_endstop_phase"
+            " homing_endstop_align_zero min_home_dist use_sensorless_homing"
         ),
     ),
 }
@@ -109,56 +90,29 @@ PROBE: Final[dict[str, Word]] = {
     **PLACE,
     **same(
         HARMLESS,
-        (
-            "pin",
-            "deactivate_on_each_sample",
-            "speed",
-            "samples",
-            "sample_retract_dist",
-            "lift_speed",
-            "samples_result",
-            "samples_tolerance",
-            "samples_tolerance_retries",
-            "drop_first_result",
-            "activate_gcode",
-            "deactivate_gcode",
-            "recovery_time",
-            "sensor_pin",
-            "control_pin",
-            "pin_move_time",
-            "stow_on_each_sample",
-            "probe_with_touch_mode",
-            "pin_up_reports_not_triggered",
-            "pin_up_touch_mode_reports_triggered",
-            "set_output_mode",
-            "probe_accel",
+        options(
+            "pin deactivate_on_each_sample speed samples sample_retract_dist"
+            " lift_speed samples_result samples_tolerance samples_tolerance_retries"
+            " drop_first_result activate_gcode deactivate_gcode recovery_time"
+            " sensor_pin control_pin pin_move_time stow_on_each_sample"
+            " probe_with_touch_mode pin_up_reports_not_triggered"
+            " pin_up_touch_mode_reports_triggered set_output_mode probe_accel"
         ),
     ),
 }
 CALIBRATE: Final[dict[str, Word]] = {
     **same(
         READ,
-        (
-            "radius",
-            "height<n>",
-            "height<n>_pos",
-            "manual_height<n>",
-            "manual_height<n>_pos",
-            "distance<n>",
-            "distance<n>_pos1",
-            "distance<n>_pos2",
+        options(
+            "radius height<n> height<n>_pos manual_height<n> manual_height<n>_pos"
+            " distance<n> distance<n>_pos1 distance<n>_pos2"
         ),
     ),
     **same(
         HARMLESS,
-        (
-            "points",
-            "speed",
-            "horizontal_move_z",
-            "samples",
-            "sample_retract_dist",
-            "manual_probe",
-            "use_probe_xy_offsets",
+        options(
+            "points speed horizontal_move_z samples sample_retract_dist manual_probe"
+            " use_probe_xy_offsets"
         ),
     ),
 }
@@ -176,25 +130,11 @@ BED_MESH: Final[dict[str, Word]] = {
     **same(LEVEL_OF_MESH, ("zero_reference_position", "relative_reference_index")),
     **same(
         HARMLESS,
-        (
-            "speed",
-            "horizontal_move_z",
-            "mesh_radius",
-            "mesh_origin",
-            "mesh_min",
-            "mesh_max",
-            "probe_count",
-            "round_probe_count",
-            "mesh_pps",
-            "algorithm",
-            "bicubic_tension",
-            "fade_start",
-            "fade_end",
-            "fade_target",
-            "split_delta_z",
-            "move_check_distance",
-            "adaptive_margin",
-            "scan_overshoot",
+        options(
+            "speed horizontal_move_z mesh_radius mesh_origin mesh_min mesh_max"
+            " probe_count round_probe_count mesh_pps algorithm bicubic_tension"
+            " fade_start fade_end fade_target split_delta_z move_check_distance"
+            " adaptive_margin scan_overshoot"
         ),
     ),
     OTHERS: costs(

@@ -69,6 +69,11 @@ def same(word: Word, keys: Iterable[str]) -> dict[str, Word]:
     return dict.fromkeys(keys, word)
 
 
+def options(names: str) -> list[str]:
+    """Names of options that stand in one text, with spaces between."""
+    return names.split()
+
+
 @dataclasses.dataclass(frozen=True)
 class WrittenWord:
     """A word as a file has it.
