@@ -84,6 +84,12 @@ def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRec
             k += 1
 
 
+def implausible_sizes(corrected: CorrectedEstimate) -> list[str]:
+    """Sentences on coefficients far beyond their expected sizes."""
+    checks = {form.effect.name: form.effect.check for form in corrected.forms}
+    return sentences.implausible_sentences(coefficient_records(corrected), checks)
+
+
 def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> GapSection:
     """The diagnosis with the coefficients that are estimated with the parameters.
 
@@ -538,10 +544,7 @@ def _add_section(
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
         return _add_true_alarms(state.add_sections(gap=joint), section)
-    checks = {form.effect.name: form.effect.check for form in corrected.forms}
-    state = state.add_warnings(
-        *sentences.implausible_sentences(coefficient_records(corrected), checks)
-    )
+    state = state.add_warnings(*implausible_sizes(corrected))
     return _add_true_alarms(state, section)
 
 
