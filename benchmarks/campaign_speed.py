@@ -20,19 +20,15 @@ from typing import Any, NamedTuple
 from pkm_campaign import Campaign, load_campaign, run_cases
 
 WORKERS = 2
-#: seconds for which an idle cluster is watched
-IDLE_S = 10.0
+IDLE_S = 10.0  #: seconds for which an idle cluster is watched
 
 
 class Taken(NamedTuple):
-    """Seconds by the clock, and processor time of each process without that of an idle one.
-
-    busy   shares (p,) of a core that each process takes when idle
-    """
+    """Seconds by the clock, and processor time of each process without that of an idle one."""
 
     clock: float
     work: list[float]
-    busy: list[float]
+    busy: list[float]  #: shares (p,) of a core that each process takes when idle
 
     @property
     def least(self) -> float:

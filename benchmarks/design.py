@@ -41,10 +41,8 @@ from oed.design.blocks import information
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
 POSES, RELAXED_POSES = "C0, D", "C0, D relaxed"
 OWN = "this project"
-#: of its search
-ROUNDS = 20
-#: seconds that a package or solver may take
-TIME_LIMIT_S = 120.0
+ROUNDS = 20  #: of its search
+TIME_LIMIT_S = 120.0  #: seconds that a package or solver may take
 
 Answer = TypeVar("Answer")
 
@@ -60,8 +58,6 @@ def time_median(work: Callable[[], Answer], repeats: int = 3) -> tuple[float, An
 
 
 # -- this project ----------------------------------------------------------------------
-
-
 def choose_rows(rows: np.ndarray, criterion: str) -> Result:
     """This project's choice, with its bound where it comes at no cost."""
     problem = f"A, {criterion}"
@@ -106,8 +102,6 @@ def _own(problem: str, value: float, seconds: float, bound: float | None) -> Res
 
 
 # -- a general solver ------------------------------------------------------------------
-
-
 def solve_poses(blocks: np.ndarray) -> Result:
     """The relaxation of C0 by a general convex solver; it gives no certificate."""
     count, size = len(blocks), hexapod.SIZE
@@ -140,8 +134,6 @@ def _solve_by_clarabel(blocks: np.ndarray, size: int) -> np.ndarray | None:
 
 
 # -- the table -------------------------------------------------------------------------
-
-
 def run(peers: Path | None) -> list[Result]:
     """Results of both problems; of other packages where their folder is named."""
     rows, blocks = candidates(), hexapod.blocks(0)

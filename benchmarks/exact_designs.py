@@ -30,10 +30,8 @@ from oed.design import CRITERIA, Criterion, branch, choose, condition
 SMALL = (14, 3, 5)
 MIDDLE = ((40, 5, 9), (40, 6, 10))
 OF_E = ((30, 4, 6), (24, 5, 7))
-#: nodes of a tree
-MAX_NODES = 4000
-#: relative difference of variances that counts as none
-EQUAL = 1e-6
+MAX_NODES = 4000  #: nodes of a tree
+EQUAL = 1e-6  #: relative difference of variances that counts as none
 COLUMNS = [
     "by",
     "criterion",

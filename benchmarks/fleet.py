@@ -33,12 +33,9 @@ from pkm_studies.resolve import replace_mean_and_covariance, resolve
 
 #: readings of the members of the fleet, and of the machine that is left out
 FULL, FIRST = 60, (3, 6, 9, 12, 18, 24, 36, 60)
-#: machines of each fleet, and those that are left out
-MACHINES, LEFT_OUT = 50, 2
-#: machines that give the prior; None: all others
-KNOWN = (1, 3, 10, None)
-#: rms error of the tool point that is wanted, m
-WANTED = 150e-6
+MACHINES, LEFT_OUT = 50, 2  #: machines of each fleet, and those that are left out
+KNOWN = (1, 3, 10, None)  #: machines that give the prior; None: all others
+WANTED = 150e-6  #: rms error of the tool point that is wanted, m
 #: spread between machines over the tolerance, by first letters of a parameter
 SPREAD = {"arm": 0.1, "radius": 0.2, "angle": 0.3, "endstop": 0.6}
 STUDY: dict[str, Any] = {
@@ -54,8 +51,7 @@ PRINTERS = (
     ("flsun_v400_fzechert", "flsun_v400_phnxdrgn"),
     ("flsun_v400_phnxdrgn", "flsun_v400_fzechert"),
 )
-#: first heights after which a printer is fitted with the prior
-FEW = 4
+FEW = 4  #: first heights after which a printer is fitted with the prior
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
 
 
@@ -70,8 +66,6 @@ def main() -> None:
 
 
 # -- simulated machines ----------------------------------------------------------------
-
-
 class Bench:
     """The measurement of a machine, its readings in working order, and its error maps."""
 
@@ -213,8 +207,6 @@ def _line(
 
 
 # -- printers --------------------------------------------------------------------------
-
-
 def printers(data: Path) -> Iterator[str]:
     """The table of real printers, in Markdown."""
     yield head("printer", "prior from", "parameters inside 95 % of the prior")

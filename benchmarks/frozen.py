@@ -34,8 +34,6 @@ from pkm_studies import study as studies
 from pkm_studies.base import InputError
 
 # -- numbers of a document -------------------------------------------------------------
-
-
 #: relative difference of numbers that nothing draws, and difference of drawn ones in
 #: standard deviations, or relative where the document states none
 COMPUTED, DRAWN = 1e-9, 1e-3
@@ -51,15 +49,12 @@ IGNORED = re.compile(r"(^|\.)(seconds|version|versions|study_text|traceback)(\.|
 
 
 class Difference(NamedTuple):
-    """A number that is not what it was; None where there is none.
-
-    size    over its tolerance
-    """
+    """A number that is not what it was; None where there is none."""
 
     path: str
     before: float | None
     after: float | None
-    size: float
+    size: float  #: over its tolerance
 
 
 def numbers(document: Any) -> dict[str, float]:
@@ -113,8 +108,6 @@ def _walk(value: Any, path: str) -> Iterator[tuple[str, float]]:
 
 
 # -- what is frozen --------------------------------------------------------------------
-
-
 #: set of the second generator, and the seed that it is drawn with
 FOLDER = Path("out/frozen")
 SECOND = FOLDER / "second"
@@ -172,11 +165,8 @@ KINDS: dict[str, Callable[[str], Any]] = {
 
 
 # -- command ---------------------------------------------------------------------------
-
-
 FILE = FOLDER / "frozen.json.gz"
-#: differences that are printed of a document
-PRINTED = 8
+PRINTED = 8  #: differences that are printed of a document
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -31,8 +31,7 @@ from oed.gap import diagnose
 from pkm_studies import stages, study
 
 RUNS = 4
-#: standard deviations of a reading and of a run's level, um
-NOISE, LEVEL = 0.5, 0.2
+NOISE, LEVEL = 0.5, 0.2  #: standard deviations of a reading and of a run's level, um
 #: share of the variance that is correlated, and over how many readings
 CORRELATED, LENGTH = 0.3, 8.0
 STUDY = """\

@@ -28,8 +28,7 @@ from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 
-#: rows, their columns, and how many are chosen
-ROWS, COLUMNS, SIZE = 1_000_000, 21, 30
+ROWS, COLUMNS, SIZE = 1_000_000, 21, 30  #: rows, their columns, and how many are chosen
 RELAXATION, CHOICE = "relaxation", "choice with its certificate"
 LINES = (10_000, 100_000, 1_000_000)
 HEADER = "setup,run,order,z_mm,psi_deg,theta_deg,length_mm,time_min,direction\n"

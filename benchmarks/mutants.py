@@ -37,8 +37,6 @@ from typing import Any
 import numpy as np
 
 # -- mutations of a module, by its syntax tree -----------------------------------------
-
-
 OPPOSITE = {
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult},
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt},
@@ -228,27 +226,19 @@ def _is_text(node: ast.AST) -> bool:
 
 
 # -- mutants over the rooms ------------------------------------------------------------
-
-
 TESTS = Path("tests")
 #: folders of the packages; their folders of tests have no prefix
 PACKAGES = ("oed", "models/pkm_*", "reports/pkm_*", "studies/pkm_*")
-#: so many candidates are drawn for each mutant: some lines are not reached
-SPARE = 4
+SPARE = 4  #: so many candidates are drawn for each mutant: some lines are not reached
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Mutant:
-    """A mutation of a module of a room.
+    """A mutation of a module of a room."""
 
-    room        folder of its tests, from `tests`
-    path        of the module, from the root of the tree
-    mutation    the change
-    """
-
-    room: str
-    path: str
-    mutation: Mutation
+    room: str  #: folder of its tests, from `tests`
+    path: str  #: of the module, from the root of the tree
+    mutation: Mutation  #: the change
 
 
 def rooms_of(root: Path) -> dict[str, list[Path]]:
@@ -299,8 +289,6 @@ def _pick(choices: list[Mutation], rng: np.random.Generator) -> Mutation:
 
 
 # -- the tests that reach a statement --------------------------------------------------
-
-
 #: module of the copy: writes each test that executes a marked statement, once
 MARKS = '''"""Marks of statements."""
 import os
@@ -336,8 +324,6 @@ def marked(text: str, numbers: dict[int, int]) -> str:
 
 
 # -- trials ----------------------------------------------------------------------------
-
-
 #: where the packages of a tree lie; before the installed ones
 SEARCHED = (".", "models", "studies", "reports", "tests", "tests/fixtures")
 IGNORED = shutil.ignore_patterns(".*", "__pycache__", "out")
@@ -438,8 +424,6 @@ def _run_tests(tree: Path, tests: str, limit: float | None) -> int:
 
 
 # -- command ---------------------------------------------------------------------------
-
-
 ROOT = Path(__file__).resolve().parents[1]
 DETECTED = {KILLED, TIMED_OUT}
 

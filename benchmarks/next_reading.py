@@ -29,10 +29,8 @@ from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
 from pkm_studies.study import Study
 
-#: readings at which a machine counts as not reached
-MOST = 60
-#: how the columns of ratios begin
-RATIO = "ratio_"
+MOST = 60  #: readings at which a machine counts as not reached
+RATIO = "ratio_"  #: how the columns of ratios begin
 
 
 @dataclasses.dataclass

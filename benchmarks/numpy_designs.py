@@ -11,8 +11,7 @@ import numpy as np
 
 #: condition number beyond which an information matrix counts as singular
 MAX_CONDITION = 1e12
-#: relative gain in the determinant below which an exchange counts as none
-GAIN = 1e-9
+GAIN = 1e-9  #: relative gain in the determinant below which an exchange counts as none
 
 
 def log_det(blocks: np.ndarray, chosen: np.ndarray) -> float:

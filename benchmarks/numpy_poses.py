@@ -21,15 +21,12 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES], axis=1)
 AXES = np.stack([-np.sin(ANGLES), np.cos(ANGLES), 0.0 * ANGLES], axis=1)
 A3_BASE = a3_head.B * DIRECTIONS
 A3_PLATFORM = a3_head.A * DIRECTIONS - np.array([0.0, 0.0, a3_head.C])
-#: step (m, rad) that ends Newton's method, as in this project
-STEP_TOLERANCE = 1e-8
-#: most of its steps
-MAX_ITERATIONS = 30
+STEP_TOLERANCE = 1e-8  #: step (m, rad) that ends Newton's method, as in this project
+MAX_ITERATIONS = 30  #: most of its steps
 
 #: residuals (n, 6) and slopes over the twist (n, 6, 6) at points and rotations
 Equations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-#: points (n, 3) and rotations (n, 3, 3)
-Poses = tuple[np.ndarray, np.ndarray]
+Poses = tuple[np.ndarray, np.ndarray]  #: points (n, 3) and rotations (n, 3, 3)
 
 
 def turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -17,18 +17,14 @@ HERE = Path(__file__).resolve().parent
 
 
 class Result(NamedTuple):
-    """What a method reaches on a problem.
-
-    value    criterion value; None where there is no result, and `note` says why
-    seconds  processor time of the choice
-    bound    upper bound of the value, where the method gives one
-    """
+    """What a method reaches on a problem."""
 
     problem: str
     method: str
+    #: criterion value; None where there is no result, and `note` says why
     value: float | None = None
-    seconds: float | None = None
-    bound: float | None = None
+    seconds: float | None = None  #: processor time of the choice
+    bound: float | None = None  #: upper bound of the value, where the method gives one
     note: str = ""
 
     @property

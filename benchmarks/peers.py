@@ -49,14 +49,10 @@ class Task(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """A package.
+    """A package."""
 
-    requires  pinned requirements, the package itself first
-    tasks     what it is asked to do
-    """
-
-    requires: tuple[str, ...]
-    tasks: tuple[Task, ...]
+    requires: tuple[str, ...]  #: pinned requirements, the package itself first
+    tasks: tuple[Task, ...]  #: what it is asked to do
 
 
 def processor_seconds() -> float:
@@ -241,7 +237,6 @@ def pydoe3_optimal(rows: np.ndarray, criterion: str, method: str) -> Choose:
 
 
 # -- all of them
-
 ROUNDED = "may repeat rows; rounds the weights, no exchange"
 REPEATED, INTERCEPT = "may repeat rows", "always adds an intercept"
 PEERS = {

@@ -36,12 +36,9 @@ from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head, delta, hexapod
 
 COUNTS, ROUNDS = (1, 10, 100, 1000, 10_000, 100_000), 11
-#: processor time of a round, s
-ROUND_SECONDS = 0.01
-#: time after which a function is compiled, in a loop of calls, s
-LOOP_SECONDS = 4.0
-#: when functions are compiled: never, or as it comes
-VARIABLE = "OED_COMPILE"
+ROUND_SECONDS = 0.01  #: processor time of a round, s
+LOOP_SECONDS = 4.0  #: time after which a function is compiled, in a loop of calls, s
+VARIABLE = "OED_COMPILE"  #: when functions are compiled: never, or as it comes
 NEVER = "0"
 BY_DEFAULT = ""
 NO_TOOL = np.zeros(3)
@@ -155,8 +152,6 @@ def line(case: Case) -> str:
 
 
 # -- solvers in a loop -----------------------------------------------------------------
-
-
 def solvers() -> dict[str, Callable[..., np.ndarray]]:
     """Functions of start, joints and parameters that solve one pose of the A3 head."""
     x, xs = symbols("x", a3_head.machine.pose)

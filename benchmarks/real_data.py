@@ -32,30 +32,20 @@ from pkm_studies.importers import import_files
 from pkm_studies.resolve import resolve
 
 # -- machines --------------------------------------------------------------------------
-
-
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ROOT / "studies"
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A machine with readings of its own.
+    """A machine with readings of its own."""
 
-    name     of the row
-    folder   of its files, in the data folder
-    fitted   what is fitted, in words
-    blind    what is predicted, in words
-    study    name of a shipped study; "" where `file` is imported
-    file     configuration with readings, for `oed import klipper`
-    """
-
-    name: str
-    folder: str
-    fitted: str
-    blind: str
-    study: str = ""
-    file: str = ""
+    name: str  #: of the row
+    folder: str  #: of its files, in the data folder
+    fitted: str  #: what is fitted, in words
+    blind: str  #: what is predicted, in words
+    study: str = ""  #: name of a shipped study; "" where `file` is imported
+    file: str = ""  #: configuration with readings, for `oed import klipper`
 
 
 def _printer(name: str, file: str, fitted: str) -> Entry:
@@ -81,10 +71,7 @@ ENTRIES = (
 
 
 # -- what others leave -----------------------------------------------------------------
-
-
-#: (set-up, channel): rms in its fine unit
-Figures = dict[tuple[str, str], float]
+Figures = dict[tuple[str, str], float]  #: (set-up, channel): rms in its fine unit
 
 
 def plain_least_squares(measurement: Measurement, fitted: Dataset) -> Array:
@@ -152,8 +139,6 @@ def _adjusted(
 
 
 # -- an entry --------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Row:
     """A kind of held-out readings, in their fine unit."""
@@ -205,8 +190,6 @@ def _rows(study: studies.Study, result: StudyResult) -> Iterator[Row]:
 
 
 # -- table -----------------------------------------------------------------------------
-
-
 COLUMNS = ("machine", "fitted", "predicted blind", "readings", "predicted", "inside")
 
 

@@ -32,10 +32,8 @@ from pkm_studies import shipped
 from pkm_studies.stages import Fitted
 
 Result = TypeVar("Result")
-#: effective sample size of every parameter
-ESS = 1000.0
-#: runs, and seconds of a run that is not repeated
-REPEATS, LONG_S = 3, 3.0
+ESS = 1000.0  #: effective sample size of every parameter
+REPEATS, LONG_S = 3, 3.0  #: runs, and seconds of a run that is not repeated
 #: study, readings by its design, whether the noise law is estimated
 CASES = (
     ("a3_ball_bar", 60, False),

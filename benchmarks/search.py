@@ -40,11 +40,9 @@ from benchmarks.peers import processor_seconds
 from oed import design
 from oed.design import CRITERIA
 
-#: values that differ by less are equally good
-EQUAL = 1e-6
+EQUAL = 1e-6  #: values that differ by less are equally good
 DEFAULT_ROUNDS, LONG_FACTOR = 20, 10
-#: random starts of the NumPy exchange
-STARTS = 60
+STARTS = 60  #: random starts of the NumPy exchange
 KINDS = [
     "A",
     "I",
@@ -63,16 +61,13 @@ COLUMNS = ("kind", "seed", "default", "s", "long run", "NumPy", "s", "behind bes
 
 
 class Instance(NamedTuple):
-    """Blocks (C, k, n) out of which `size` are chosen, by D, A or I.
-
-    accuracy  (J, r, n) of I
-    """
+    """Blocks (C, k, n) out of which `size` are chosen, by D, A or I."""
 
     kind: str
     blocks: np.ndarray
     size: int
     criterion: str = "D"
-    accuracy: np.ndarray | None = None
+    accuracy: np.ndarray | None = None  #: (J, r, n) of I
 
     @property
     def weight(self) -> np.ndarray | None:

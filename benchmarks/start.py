@@ -16,8 +16,7 @@ import tempfile
 
 from benchmarks.harness.tables import head, row
 
-#: rounds, of which the first compiles
-ROUNDS = 4
+ROUNDS = 4  #: rounds, of which the first compiles
 #: arguments of each command, and what it cannot do without
 JOBS = {
     "--help": ((), "sys"),

@@ -13,11 +13,9 @@ from oed.noise import Errors, NoiseLaw, ReadingStructure
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrueLaw(NoiseLaw):
-    """The true covariance of the readings in place of a law's.
+    """The true covariance of the readings in place of a law's."""
 
-    true    (N, N) in units of the stated noise
-    """
-
+    #: (N, N) in units of the stated noise
     true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:

@@ -35,16 +35,11 @@ ROUNDING = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What holds the truth.
+    """What holds the truth."""
 
-    combinations  (r,) whether each interval does
-    nees          squared error of all combinations together, over their number
-    bands         (n * k,) whether each pose component's interval does
-    """
-
-    combinations: np.ndarray
-    nees: float
-    bands: np.ndarray
+    combinations: np.ndarray  #: (r,) whether each interval does
+    nees: float  #: squared error of all combinations together, over their number
+    bands: np.ndarray  #: (n * k,) whether each pose component's interval does
 
     def as_json(self) -> dict[str, Any]:
         """Masks as texts of 0 and 1."""
@@ -135,9 +130,7 @@ def _holds(draws: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 
 # -- the case and its table ------------------------------------------------------------
-
-#: of the band of the worst share
-WORST_BAND = 0.999
+WORST_BAND = 0.999  #: of the band of the worst share
 HEAD = ("readings", "noise", "machines", "combinations: mean", "worst")
 
 

@@ -37,24 +37,16 @@ Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bench:
-    """One configuration.
+    """One configuration."""
 
-    name         of the machines and errors that are drawn
-    measurement  the toolkit's
-    series       its planned readings, N in all
-    command      (n, n_dof) workspace poses, SI
-    read         exact readings (N,) of the oracle's machine theta (n,), SI
-    errors       of the oracle's machine, zeroed at home
-    stages       of the identification
-    """
-
-    name: str
-    measurement: Measurement
-    series: Sequence[Series]
-    command: np.ndarray
+    name: str  #: of the machines and errors that are drawn
+    measurement: Measurement  #: the toolkit's
+    series: Sequence[Series]  #: its planned readings, N in all
+    command: np.ndarray  #: (n, n_dof) workspace poses, SI
+    #: exact readings (N,) of the oracle's machine theta (n,), SI
     read: Callable[[np.ndarray], np.ndarray]
-    errors: Errors
-    stages: Sequence[Sequence[str]] = (("*",),)
+    errors: Errors  #: of the oracle's machine, zeroed at home
+    stages: Sequence[Sequence[str]] = (("*",),)  #: of the identification
 
     @functools.cached_property
     def coordinates(self) -> IdentifiableCoordinates:
@@ -119,10 +111,7 @@ def errors_of_points(
 
 
 # -- A3 head with a ball bar -----------------------------------------------------------
-
-
-#: length of the second tool, m; heights of the tool point, m
-LONG_TOOL = 0.1
+LONG_TOOL = 0.1  #: length of the second tool, m; heights of the tool point, m
 TWO, FOUR = (1.146, 1.266), (1.106, 1.159, 1.213, 1.266)
 A3_SIZE = len(a3_head.machine.parameters)
 
@@ -185,8 +174,6 @@ def _a3_workspace() -> np.ndarray:
 
 
 # -- planar manipulator with RM 4 and RM 5 ---------------------------------------------
-
-
 PLANAR_SIZE = 7
 PLANAR_CHANNELS = {4: [0], 5: [0, 1]}
 
@@ -222,8 +209,6 @@ def planar() -> Bench:
 
 
 # -- linear delta with probe and calliper ----------------------------------------------
-
-
 DELTA_SIZE = len(linear_delta.machine.parameters)
 DELTA_NOISE = {"probe": 30e-6, "calliper": 60e-6}
 

@@ -33,15 +33,12 @@ LAWS = ("white", "t4", "offsets", "ar1", "all", "outliers", "drift", "walk", "sa
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """N readings: which belong together, and their stated noise.
+    """N readings: which belong together, and their stated noise."""
 
-    chain   (N,) one channel of one run; readings of a chain follow each other
-    sigma   (N,) stated standard deviation, SI
-    shared  (N,) standard deviation, SI, of the stated error common to a chain
-    """
-
+    #: (N,) one channel of one run; readings of a chain follow each other
     chain: np.ndarray
-    sigma: np.ndarray
+    sigma: np.ndarray  #: (N,) stated standard deviation, SI
+    #: (N,) standard deviation, SI, of the stated error common to a chain
     shared: np.ndarray
 
 

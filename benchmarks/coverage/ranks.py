@@ -27,8 +27,7 @@ from oed.noise_law import NoisePrior
 
 #: columns of a row that are no ranks
 NO_RANKS = ("configuration", "stream", "seed", "error", "cpu_s")
-#: draws that a rank is among
-DRAWS = 99
+DRAWS = 99  #: draws that a rank is among
 
 
 def joint_probability(ranks: np.ndarray, seed: int) -> float:

@@ -23,12 +23,9 @@ from pkm_studies import study as studies
 from pkm_studies.resolve import GapRequest, resolve
 from pkm_studies.user_code import Consent
 
-#: how a diagnosis failed, if it did
-FAILURE = "failure"
-#: most answers that are stored, if the 95 % set has no more
-ANSWERS = 20
-#: studies whose compiled machines a process keeps
-BENCHES = 8
+FAILURE = "failure"  #: how a diagnosis failed, if it did
+ANSWERS = 20  #: most answers that are stored, if the 95 % set has no more
+BENCHES = 8  #: studies whose compiled machines a process keeps
 
 Record = dict[str, Any]
 #: measurement, effects to try, and direction of gravity in the base frame

@@ -34,16 +34,12 @@ from benchmarks.harness import tables
 from benchmarks.harness.statistics import Measure, middle, share
 
 UNKNOWN = "unknown"
-#: machine and name of a case
-Key = tuple[str, str]
+Key = tuple[str, str]  #: machine and name of a case
 #: sqrt(lambda) that counts as 6 and as 10 after the generator's search for a size
 SIX, TEN = 5.9, 9.8
-#: expected gain from which a closure is more than noise
-GAIN = 36.0
-#: least width of a time window's error, as a share of the true one
-TOO_WIDE = 1.5
-#: bins of the probability of the answer
-BINS = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+GAIN = 36.0  #: expected gain from which a closure is more than noise
+TOO_WIDE = 1.5  #: least width of a time window's error, as a share of the true one
+BINS = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  #: bins of the probability of the answer
 
 
 class Scored:
@@ -264,8 +260,6 @@ def _share(
 
 
 # -- table -----------------------------------------------------------------------------
-
-
 def table(rows_of: Sequence[Mapping[str, Any]]) -> str:
     """Measures of the rows of a campaign, a column an observer, and a line each effect.
 

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-#: probability on either side of an interval of 95 %
-TAIL = 0.025
+TAIL = 0.025  #: probability on either side of an interval of 95 %
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,12 +19,9 @@ from oed.gap import GapProblem, Metric
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Library
 
-#: effects that the stepwise selection may take
-MOST = 5
-#: share of a column's size that must survive the calibration
-LEAST = 1e-5
-#: energy of a direction of unit columns below which it is none
-SINGULAR = 1e-6
+MOST = 5  #: effects that the stepwise selection may take
+LEAST = 1e-5  #: share of a column's size that must survive the calibration
+SINGULAR = 1e-6  #: energy of a direction of unit columns below which it is none
 
 
 def stepwise_record(study: Path, readings: Path) -> Record:

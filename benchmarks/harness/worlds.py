@@ -14,21 +14,15 @@ from oed.noise import NoiseLaw
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A case of a world.
+    """A case of a world."""
 
-    name      of the case
-    study     its study file
-    readings  its readings file
-    label     the truth, as `judge` reads it
-    stream    key of the random numbers that its diagnosis draws
-    true_law  the noise law of its residuals; None where the world does not give it
-    """
-
-    name: str
-    study: Path
-    readings: Path
-    label: Mapping[str, Any]
+    name: str  #: of the case
+    study: Path  #: its study file
+    readings: Path  #: its readings file
+    label: Mapping[str, Any]  #: the truth, as `judge` reads it
+    #: key of the random numbers that its diagnosis draws
     stream: int | Sequence[int] = 0
+    #: the noise law of its residuals; None where the world does not give it
     true_law: Callable[[GapProblem], NoiseLaw] | None = None
 
 

@@ -34,10 +34,8 @@ Record = Mapping[str, Any]
 MISTAKEN, FAILED = "mistaken", "failed"
 Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)
-#: least and largest noise over the machine's size
-SHARES = (3e-7, 3e-4)
-#: readings of channels of one machine, at most
-MOST = 700
+SHARES = (3e-7, 3e-4)  #: least and largest noise over the machine's size
+MOST = 700  #: readings of channels of one machine, at most
 #: how often each instrument is taken, by what the machine moves
 SPACE = ("ball_bar", "ball_bar", "camera", "pose_tracker_position", "laser_ball_bar",
          "calliper", "height")  # fmt: skip
@@ -52,20 +50,13 @@ COMMANDS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A machine without a gap.
+    """A machine without a gap."""
 
-    model         as drawn
-    law           of the noise
-    instruments   names of the set-ups' instruments
-    study         tables of the study
-    readings      the readings file's table
-    """
-
-    model: str
-    law: sessions.Law
-    instruments: tuple[str, ...]
-    study: Mapping[str, Any]
-    readings: pd.DataFrame
+    model: str  #: as drawn
+    law: sessions.Law  #: of the noise
+    instruments: tuple[str, ...]  #: names of the set-ups' instruments
+    study: Mapping[str, Any]  #: tables of the study
+    readings: pd.DataFrame  #: the readings file's table
 
 
 def machine_of(table: Mapping[str, Any]) -> Machine:
@@ -269,8 +260,6 @@ def write(case: Case, folder: Path) -> Path:
 
 
 # -- the diagnosis -------------------------------------------------------------------------
-
-
 def alarm(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """The diagnosis of one machine; one that fails leaves its traceback.
 
@@ -298,8 +287,6 @@ def answer(case: Case) -> dict[str, Any]:
 
 
 # -- table -----------------------------------------------------------------------------
-
-
 def is_alarm(record: Record) -> bool:
     """Whether anything but "none" was said of a machine without a gap."""
     return bool(record["verdict"] != "none")

@@ -20,12 +20,10 @@ from oed.mechanism import Kinematics
 from oed.model import Machine
 
 Array = np.ndarray
-#: least and largest size of a machine of a family, m
-SIZES = (0.1, 10.0)
+SIZES = (0.1, 10.0)  #: least and largest size of a machine of a family, m
 #: what places depart by from those of the family's own machine, of its size
 SHIFT = 0.05
-#: parameter errors are normal, cut off at so many tolerances
-CUT = 2.5
+CUT = 2.5  #: parameter errors are normal, cut off at so many tolerances
 #: size, m, of each family's own machine
 FAMILIES = {
     "cables_planar": 1.3,
@@ -56,16 +54,11 @@ POINTS = ("base", "platform", "guide", "anchor", "attach")
 
 @dataclasses.dataclass(frozen=True)
 class Drawn:
-    """A machine to be read.
+    """A machine to be read."""
 
-    model    name in the catalogue
-    size     m
-    table    `[machine]` of its study
-    """
-
-    model: str
-    size: float
-    table: Mapping[str, Any]
+    model: str  #: name in the catalogue
+    size: float  #: m
+    table: Mapping[str, Any]  #: `[machine]` of its study
 
 
 def draw(model: str, own: Machine, rng: np.random.Generator) -> Drawn:
@@ -121,8 +114,6 @@ def rotations(turns: Array) -> Array:
 
 
 # -- the true machine ---------------------------------------------------------------------
-
-
 class Truth:
     """Where the tool of the true machine stands: `true` (np,) are its parameters."""
 

@@ -65,36 +65,23 @@ def draw_law(name: str, rng: np.random.Generator) -> Law:
 # -- plans ---------------------------------------------------------------------------------
 
 RUNS, READINGS = (2, 12), (10, 72)
-#: part of the workspace's half width that paths keep to
-INSIDE = 0.9
-#: tries to lay a path within reach, each smaller than the one before
-TRIES = 12
+INSIDE = 0.9  #: part of the workspace's half width that paths keep to
+TRIES = 12  #: tries to lay a path within reach, each smaller than the one before
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How a session goes.
+    """How a session goes."""
 
-    runs        number of paths
-    readings    of each pass of a path
-    both        whether each path is run in both directions
-    columns     covariates that are written down
-    feeds       mm/min, in turn from path to path
-    payloads    N, in turn
-    pause       s between passes
-    step        s between readings
-    regular     whether the clock is regular
-    """
-
-    runs: int
-    readings: int
-    both: bool
-    columns: frozenset[str]
-    feeds: Sequence[float]
-    payloads: Sequence[float]
-    pause: float
-    step: float
-    regular: bool
+    runs: int  #: number of paths
+    readings: int  #: of each pass of a path
+    both: bool  #: whether each path is run in both directions
+    columns: frozenset[str]  #: covariates that are written down
+    feeds: Sequence[float]  #: mm/min, in turn from path to path
+    payloads: Sequence[float]  #: N, in turn
+    pause: float  #: s between passes
+    step: float  #: s between readings
+    regular: bool  #: whether the clock is regular
 
 
 def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
@@ -121,8 +108,6 @@ def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
 
 
 # -- paths -----------------------------------------------------------------------------
-
-
 def path(
     machine: Machine,
     count: int,
@@ -197,8 +182,6 @@ def circles(count: int, length: float, cup: Array, rng: np.random.Generator) -> 
 
 
 # -- what is written down --------------------------------------------------------------
-
-
 def clock(plan: Plan, passes: int, readings: int, rng: np.random.Generator) -> Array:
     """Times (passes, readings), s."""
     times, now = np.empty((passes, readings)), rng.uniform(0.0, 100.0)
@@ -238,7 +221,6 @@ def covariates(
 
 
 # -- instruments ---------------------------------------------------------------------------
-
 #: channel values (n, channels) from points (n, 3), rotations (n, 3, 3) and unit errors
 Read = Callable[[Array, Array, Array], Array]
 XYZ = ("x", "y", "z")
@@ -246,21 +228,14 @@ XYZ = ("x", "y", "z")
 
 @dataclasses.dataclass(frozen=True)
 class Mounted:
-    """An instrument as mounted.
+    """An instrument as mounted."""
 
-    table       `[[setup]]` of its study
-    noise       its entries of `[noise]`
-    channels    columns of the readings
-    sources     number of independent errors of a reading
-    read        channel values in the columns' units
-    reference   whether a run's first pose is its reference, which the others refer to
-    """
-
-    table: Mapping[str, Any]
-    noise: Mapping[str, float]
-    channels: Sequence[str]
-    sources: int
-    read: Read
+    table: Mapping[str, Any]  #: `[[setup]]` of its study
+    noise: Mapping[str, float]  #: its entries of `[noise]`
+    channels: Sequence[str]  #: columns of the readings
+    sources: int  #: number of independent errors of a reading
+    read: Read  #: channel values in the columns' units
+    #: whether a run's first pose is its reference, which the others refer to
     reference: bool = False
 
 

@@ -42,8 +42,7 @@ ANSWERS = {
     "mixture": ("mixture, geometry alone", "best"),
 }
 COLUMNS = ("machine", "n", "compensation", "hold", "ratio", "error", "largest", "width")
-#: columns of a setting that the table groups by
-GROUPS = ("machine", "level", "size")
+GROUPS = ("machine", "level", "size")  #: columns of a setting that the table groups by
 
 
 class Known(NamedTuple):
@@ -54,8 +53,6 @@ class Known(NamedTuple):
 
 
 # -- one fit with all effects ----------------------------------------------------------
-
-
 def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Errors of one machine of a kind, level and size: without effects, and with them."""
     bench = world.draw(setting["machine"], setting["size"], setting["level"], seed)
@@ -200,8 +197,6 @@ def judge(
 
 
 # -- the answers of a diagnosis --------------------------------------------------------
-
-
 def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One machine: diagnosed, fitted by each answer, and judged."""
     bench = world.draw(setting["machine"], setting["size"], "healthy", seed)
@@ -304,8 +299,6 @@ def _absorbing(bench: world.Bench, mean: Array, known: Known) -> Array:
 
 
 # -- table -----------------------------------------------------------------------------
-
-
 def accuracy_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A row for each machine, level, size and fit."""
     return _table(rows, FITS)

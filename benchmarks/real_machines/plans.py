@@ -33,10 +33,8 @@ from pkm_studies.tables import ConditionsTable
 
 #: sizes of effects that a plan is made for, and that a machine has; all readings
 SIZES, ALL = ("rigid", "typical", "full"), "all readings"
-#: combinations of effects that a plan profiles out
-UNKNOWNS = 60
-#: poses of the session at which accuracy counts while planning
-WORKSPACE = 60
+UNKNOWNS = 60  #: combinations of effects that a plan profiles out
+WORKSPACE = 60  #: poses of the session at which accuracy counts while planning
 
 
 def attainable(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -74,16 +72,11 @@ def attainable_table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Candidates of a session on a machine with effects of one size.
+    """Candidates of a session on a machine with effects of one size."""
 
-    blocks  (C, k, n) rows over parameters and effects
-    prior   (n, n) information before any reading
-    factor  (r, n) errors of the tool point over the workspace, m
-    """
-
-    blocks: Array
-    prior: Array
-    factor: Array
+    blocks: Array  #: (C, k, n) rows over parameters and effects
+    prior: Array  #: (n, n) information before any reading
+    factor: Array  #: (r, n) errors of the tool point over the workspace, m
 
     def rms(self, chosen: Index) -> float:
         """Root mean square error of the tool point with chosen readings, um."""

@@ -19,10 +19,8 @@ from oed.measurement import Measurement
 
 MM = 1e-3
 HEALTHY = (0.6, 1.4)
-#: levels of the effects that all machines have
-LEVELS = ("rigid", "healthy")
-#: spread of the logarithm of an effect's size
-SPREAD = 0.7
+LEVELS = ("rigid", "healthy")  #: levels of the effects that all machines have
+SPREAD = 0.7  #: spread of the logarithm of an effect's size
 
 
 @dataclasses.dataclass(eq=False)

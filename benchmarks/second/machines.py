@@ -39,7 +39,6 @@ def _offsets(stem: str, count: int, tolerance: float, about: str) -> list[Parame
 
 
 # -- linear delta ----------------------------------------------------------------------
-
 TOWERS = (1, 2, 3)
 TOWER_RADIUS, ARM = 161.75 * MM, 345.0 * MM
 DIRECTION = {k: _on_circle(1.0, 90.0 + 120.0 * k) for k in TOWERS}
@@ -101,7 +100,6 @@ delta = Machine(
 )
 
 # -- hanging hexapod -------------------------------------------------------------------
-
 LEGS = (1, 2, 3, 4, 5, 6)
 ANGLES = ("alpha", "beta", "gamma")
 BASE_RADIUS, PLATFORM_RADIUS, ABOVE = 550.0 * MM, 210.0 * MM, 140.0 * MM

@@ -128,8 +128,6 @@ def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:
 
 
 # -- files -----------------------------------------------------------------------------
-
-
 def write_case(stem: Path, out: Path) -> tuple[Path, Path]:
     """Write study, machines, effects and readings of the case at `stem` into `out`.
 

@@ -21,20 +21,14 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """What a session does to a machine, whatever faults it has.
+    """What a session does to a machine, whatever faults it has."""
 
-    s              the session
-    sensitivity    tip displacement by joint displacement (n, 3, legs)
-    load           of each leg, N (n, legs), by platform and payload
-    clock          s, steps of GRAIN
-    heat           temperatures of each leg's motor and screw, of frame and bar, K over
-                   the start (len(clock), 2 legs + 2)
-    """
-
-    s: Session
-    sensitivity: Array
-    load: Array
-    clock: Array
+    s: Session  #: the session
+    sensitivity: Array  #: tip displacement by joint displacement (n, 3, legs)
+    load: Array  #: of each leg, N (n, legs), by platform and payload
+    clock: Array  #: s, steps of GRAIN
+    #: temperatures of each leg's motor and screw, of frame and bar, K over the start
+    #: (len(clock), 2 legs + 2)
     heat: Array
 
     def at_readings(self, course: Array) -> Array:

@@ -222,8 +222,6 @@ def _where(sight: Sight, c: Array, shown: Array) -> dict[str, Any]:
 
 
 # -- files -----------------------------------------------------------------------------
-
-
 def draw(setting: Mapping[str, Any], number: int, folder: Path) -> Case:
     """The case of a seed, in the second generator's files."""
     sight, label, values = drawn(number)

@@ -173,8 +173,6 @@ def _with_time(
 
 
 # -- table -----------------------------------------------------------------------------
-
-
 def table(records: Sequence[Record]) -> str:
     """Shares before and after over all cases and over those visited; the calibration."""
     judged = [record for record in records if FAILURE not in record]

@@ -32,8 +32,7 @@ RANGES = {
 ARRAYS = ("t", "x0", "q0", "qd", "vel", "Q", "QD", "u", "payload", "dir", "feed", "cup")
 #: from the last reading of the first visit, between runs, and for a change (s)
 PAUSE, BETWEEN, CHANGE = 600.0, 120.0, 240.0
-#: substeps from pose to pose, and poses of the lead-in
-SUBSTEPS, LEAD = 4, 2
+SUBSTEPS, LEAD = 4, 2  #: substeps from pose to pose, and poses of the lead-in
 
 
 @dataclasses.dataclass
@@ -228,8 +227,6 @@ def _effect(make: Any, first: First, both: Any, state: Any, pool: Any) -> Any:
 
 
 # -- rows of further runs, and the paths between them ----------------------------------
-
-
 def with_runs(case: Any, runs: Sequence[Mapping[str, Any]]) -> tuple[Any, Any]:
     """The case with further runs, and these alone."""
     truth = importlib.import_module("truth")

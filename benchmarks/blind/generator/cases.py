@@ -68,20 +68,13 @@ FORMS, EXPLAINED = 16, 5.0
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """An effect with its amplitude.
+    """An effect with its amplitude."""
 
-    effect       the effect
-    known        whether the library may have it
-    target       sqrt(lambda) that it was made for
-    amplitude    of its largest addition, m
-    change       (N,) exact difference of the noise-free readings by it alone
-    """
-
-    effect: Effect
-    known: bool
-    target: float
-    amplitude: float
-    change: Array
+    effect: Effect  #: the effect
+    known: bool  #: whether the library may have it
+    target: float  #: sqrt(lambda) that it was made for
+    amplitude: float  #: of its largest addition, m
+    change: Array  #: (N,) exact difference of the noise-free readings by it alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -284,8 +277,6 @@ def _pair(
 
 
 # -- files and truth -------------------------------------------------------------------
-
-
 def table(case: Case) -> pd.DataFrame:
     """The readings as a file has them: text, empty where there is no reading."""
     plan = case.stage.plan

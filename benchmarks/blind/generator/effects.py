@@ -28,16 +28,14 @@ from benchmarks.blind.generator.scene import Layout, Motion, Push
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effect:
-    """An effect with its form drawn; only its size is open.
-
-    push    amplitude (m, the largest addition to a joint, a place, a reading) -> what
-            it adds
-    blocks  where it acts, if it acts in part: "leg 2", "time 7200-9000", "run C3",
-            "direction +1", "phase 30-80"
-    """
+    """An effect with its form drawn; only its size is open."""
 
     name: str
+    #: amplitude (m, the largest addition to a joint, a place, a reading) -> what it
+    #: adds
     push: Callable[[float], Push]
+    #: where it acts, if it acts in part: "leg 2", "time 7200-9000", "run C3",
+    #: "direction +1", "phase 30-80"
     blocks: tuple[str, ...] = ()
 
 
@@ -166,8 +164,6 @@ def spans(plan: Plan) -> float:
 
 
 # -- heat ------------------------------------------------------------------------------
-
-
 GRID = 60.0  # s
 
 
@@ -255,8 +251,6 @@ def bar_thermal(rng: Generator, stage: Stage) -> Effect:
 
 
 # -- weight and payload ----------------------------------------------------------------
-
-
 def joint_force(stage: Stage, weight: float) -> Array:
     """Force (n, legs), N, of each joint: payload at the tool, weight at its centre."""
     motion = stage.motion
@@ -318,8 +312,6 @@ def guideway(rng: Generator, stage: Stage) -> Effect:
 
 
 # -- moving ----------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Pass:
     """The way through one run: q (m, legs) with each leg's turning points between; row
@@ -455,8 +447,6 @@ def joint_clearance(rng: Generator, stage: Stage) -> Effect:
 
 
 # -- length: errors that repeat with a leg's length or a joint's angle -----------------
-
-
 def encoder_scale(rng: Generator, stage: Stage) -> Effect:
     """A scale that is not quite uniform: its uniform part hides in the geometry."""
     gains, blocks = pick_legs(rng, stage.machine.legs, 0.6)
@@ -546,8 +536,6 @@ def _across(v: Array) -> Array:
 
 
 # -- mounts and sudden changes ---------------------------------------------------------
-
-
 def bar_length(rng: Generator, stage: Stage) -> Effect:
     """The bar's calibration is off: every reading by the same length."""
     return linear("bar_length", Push(dy=stage.by_bar))
@@ -609,8 +597,6 @@ def step(rng: Generator, stage: Stage) -> Effect:
 
 
 # -- in nobody's library ---------------------------------------------------------------
-
-
 def cross_talk(rng: Generator, stage: Stage) -> Effect:
     """One leg's current disturbs another: force of one by the rate of the next."""
     legs = stage.machine.legs
@@ -770,8 +756,6 @@ def stick(rng: Generator, stage: Stage) -> Effect:
 
 
 # -- by name ---------------------------------------------------------------------------
-
-
 Form = Callable[[Generator, Stage], Effect]
 
 _KNOWN: tuple[Form, ...] = (

@@ -26,52 +26,36 @@ XYZ = "xyz"
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Commanded poses of n rows.
+    """Commanded poses of n rows."""
 
-    x     (n, nx) reference tool points, with Gibbs vectors for machines that turn
-    R0    (n, 3, 3) commanded orientations
-    q     (n, nq) joints of the nominal machine
-    """
-
+    #: (n, nx) reference tool points, with Gibbs vectors for machines that turn
     x: Array
-    R0: Array
-    q: Array
+    R0: Array  #: (n, 3, 3) commanded orientations
+    q: Array  #: (n, nq) joints of the nominal machine
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
-    """A machine. Shapes: x (n, nx), R0 (n, 3, 3), q (n, nq), p (n, np + extras).
+    """A machine. Shapes: x (n, nx), R0 (n, 3, 3), q (n, nq), p (n, np + extras)."""
 
-    name          of the machine
-    command       (name, unit) of the commanded coordinates
-    legs          number of legs
-    parameters    (np,) names
-    nominal       (np,) values
-    tolerance     (np,) prior standard deviations; 0 where a parameter only chooses the
-                  base frame
-    extras        names of what no calibration knows
-    closure       (x, R0, q, p) -> (n, nx), zero when assembled; m
-    inverse       (command (n, dof), tool (n,)) -> Pose of the nominal machine; tool is
-                  the length added along the tool's axis
-    turns         whether the platform turns
-    weight        N, order of the moving mass's weight
-    com           its centre behind the tool point along the tool, m
-    growth        spread (legs,) -> dp (np + extras,): the frame's unit expansion, by
-                  each leg's share
-    """
-
-    name: str
-    command: tuple[tuple[str, str], ...]
-    legs: int
-    parameters: tuple[str, ...]
-    nominal: Array
+    name: str  #: of the machine
+    command: tuple[tuple[str, str], ...]  #: (name, unit) of the commanded coordinates
+    legs: int  #: number of legs
+    parameters: tuple[str, ...]  #: (np,) names
+    nominal: Array  #: (np,) values
+    #: (np,) prior standard deviations; 0 where a parameter only chooses the base frame
     tolerance: Array
-    extras: tuple[str, ...]
+    extras: tuple[str, ...]  #: names of what no calibration knows
+    #: (x, R0, q, p) -> (n, nx), zero when assembled; m
     closure: Callable[[Array, Array, Array, Array], Array]
+    #: (command (n, dof), tool (n,)) -> Pose of the nominal machine; tool is the length
+    #: added along the tool's axis
     inverse: Callable[[Array, Array], Pose]
-    turns: bool
-    weight: float
-    com: float
+    turns: bool  #: whether the platform turns
+    weight: float  #: N, order of the moving mass's weight
+    com: float  #: its centre behind the tool point along the tool, m
+    #: spread (legs,) -> dp (np + extras,): the frame's unit expansion, by each leg's
+    #: share
     growth: Callable[[Array], Array]
 
     @property
@@ -322,8 +306,6 @@ def _delta_legs(pose: Pose) -> Array:
 
 
 # -- hexapod: six extensible struts ----------------------------------------------------
-
-
 def _ring(radius: float, half: float, height: float) -> Array:
     degrees = [120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)]
     angle, z = np.deg2rad(degrees), np.full(6, height)
@@ -371,8 +353,6 @@ HEXAPOD = Machine(
 
 
 # -- all of them -----------------------------------------------------------------------
-
-
 MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD)}
 #: legs (n, legs, 3) of the nominal machine, m
 LEG_VECTORS: dict[str, Callable[[Pose], Array]] = {

@@ -28,29 +28,21 @@ from benchmarks.blind.generator.machines import (
 )
 
 # -- instruments -----------------------------------------------------------------------
-
-
 STATE = 6  # columns of s
 Settings = Mapping[str, float]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Instrument:
-    """An instrument.
-
-    read       (tip, reference tip, s, reference s, settings) -> (n, channels); m
-    channels   column stems, and noise sigma of each, m
-    nuisances  {state column: tolerance}
-    drifts     state columns that move when the mount creeps
-    reference  "teach", "run" or None
-    """
+    """An instrument."""
 
     name: str
-    channels: tuple[tuple[str, float], ...]
+    channels: tuple[tuple[str, float], ...]  #: column stems, and noise sigma of each, m
+    #: (tip, reference tip, s, reference s, settings) -> (n, channels); m
     read: Callable[[Array, Array, Array, Array, Settings], Array]
-    nuisances: Mapping[int, float]
-    drifts: tuple[int, ...]
-    reference: str | None = None
+    nuisances: Mapping[int, float]  #: {state column: tolerance}
+    drifts: tuple[int, ...]  #: state columns that move when the mount creeps
+    reference: str | None = None  #: "teach", "run" or None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -143,8 +135,6 @@ BARS = ("ball_bar", "ball_bar_free_cup")
 
 
 # -- runs: passes along paths ----------------------------------------------------------
-
-
 Index = NDArray[np.int_]
 MM_MIN = 1e-3 / 60.0
 
@@ -154,26 +144,16 @@ Path = tuple[Array, Array]
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One pass along a path.
+    """One pass along a path."""
 
-    setup        number of the set-up
-    path         name of the path
-    command      (m, dof) in the order of travel
-    phase        (m,) rad along a circle, or -1..1 along a line
-    closed       whether the path is a closed circle
-    direction    +1 or -1
-    feed         m/s
-    payload      N
-    """
-
-    setup: int
-    path: str
-    command: Array
-    phase: Array
-    closed: bool
-    direction: int
-    feed: float
-    payload: float
+    setup: int  #: number of the set-up
+    path: str  #: name of the path
+    command: Array  #: (m, dof) in the order of travel
+    phase: Array  #: (m,) rad along a circle, or -1..1 along a line
+    closed: bool  #: whether the path is a closed circle
+    direction: int  #: +1 or -1
+    feed: float  #: m/s
+    payload: float  #: N
 
 
 @dataclasses.dataclass(frozen=True)
