@@ -51,27 +51,24 @@ def study(
 def test_wheels_turn_as_the_drive_states(drive, ratios, tmp_path):
     """The wheel at the joint, then each further stage."""
     arm = study(tmp_path, drive)
-    effects = {
-        e.name: e for e in GapRequest.from_study(arm, study_machine(arm)).effects
-    }
+    request = GapRequest.from_study(arm, study_machine(arm))
+    effects = {e.name: e for e in request.effects}
     assert effects["gear_eccentricity"].constants == {"ratio": ratios}
     assert resolve(arm, readings=()).machine.drive in drive
 
 
 def test_a_drive_without_numbers_tries_usual_ones(tmp_path):
     arm = study(tmp_path, 'drive = { kind = "gear" }')
-    effects = {
-        e.name: e for e in GapRequest.from_study(arm, study_machine(arm)).effects
-    }
+    request = GapRequest.from_study(arm, study_machine(arm))
+    effects = {e.name: e for e in request.effects}
     assert len(effects["gear_eccentricity"].constants["ratio"]) > 5
 
 
 def test_the_lead_of_a_screw(tmp_path):
     text = 'drive = { kind = "screw", lead_mm = 7 }'
     head = study(tmp_path, text, "planar_2dof", "rm5")
-    effects = {
-        e.name: e for e in GapRequest.from_study(head, study_machine(head)).effects
-    }
+    request = GapRequest.from_study(head, study_machine(head))
+    effects = {e.name: e for e in request.effects}
     assert effects["screw_cyclic"].constants["pitch"] == pytest.approx((7e-3,))
 
 
