@@ -27,13 +27,13 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize(
     ("hits", "count"), [(0, 73), (1, 75), (37, 40), (40, 40), (3, 4)]
 )
-def test_wilson_is_that_of_scipy(hits: int, count: int) -> None:
+def test_wilson_is_that_of_scipy(hits, count):
     interval = stats.binomtest(hits, count).proportion_ci(method="wilson")
     expected = pytest.approx((interval.low, interval.high), abs=1e-12)
     assert statistics.wilson(hits, count) == expected
 
 
-def test_median_interval_is_of_order_statistics() -> None:
+def test_median_interval_is_of_order_statistics():
     values = [float(k) for k in range(1, 11)]
     assert statistics.median(values) == (5.5, 2.0, 9.0)
     assert statistics.median([1.0, 2.0, 3.0])[1:] == (-math.inf, math.inf)
@@ -45,7 +45,7 @@ def test_median_interval_is_of_order_statistics() -> None:
     assert stats.binomtest(sum(inside), 400, 0.957).pvalue > 1e-3
 
 
-def test_mean_interval_is_students() -> None:
+def test_mean_interval_is_students():
     values = [0.2, 0.9, 1.0, 0.4]
     interval = stats.t.interval(0.95, 3, np.mean(values), stats.sem(values))
     assert statistics.mean(values)[1:] == pytest.approx(interval)
@@ -94,14 +94,14 @@ def measures(*scored: judge.Scored) -> dict[str, tuple[float, int]]:
 
 
 @pytest.mark.parametrize("window", [[100.0, 200.0], [[0.0, 1.0], [100.0, 200.0]]])
-def test_a_time_is_right_in_one_of_the_windows(window: list[Any]) -> None:
+def test_a_time_is_right_in_one_of_the_windows(window):
     for place, right in (("time 90-150", 1.0), ("time 300-400", 0.0)):
         case = label("single", {**CLEAR, "where": {"time_s": window}})
         said = result("effect", "friction", where=place)
         assert measures(judge.Scored(case, said))["right place"] == (right, 1)
 
 
-def test_measures_count_by_hand() -> None:
+def test_measures_count_by_hand():
     table = measures(
         judge.Scored(label("null"), result("none")),
         judge.Scored(label("null"), result("effect", "step")),
@@ -121,7 +121,7 @@ def test_measures_count_by_hand() -> None:
     assert table["answers of probability 0.9 to 1 that are right"] == (0.4, 5)
 
 
-def test_beside_a_listed_effect_another_needs_no_name() -> None:
+def test_beside_a_listed_effect_another_needs_no_name():
     mixed = label("mixed", CLEAR, PUMP)
     assert judge.Scored(mixed, result("effect", "friction", "unknown")).is_right
     assert judge.Scored(mixed, result("effect", "backlash")).is_right
@@ -131,7 +131,7 @@ def test_beside_a_listed_effect_another_needs_no_name() -> None:
     assert judge.Scored(pair, result("effect", "step", "friction")).is_right
 
 
-def test_a_label_without_closures_and_runs_asks_for_none() -> None:
+def test_a_label_without_closures_and_runs_asks_for_none():
     place = {**CLEAR, "where": {"legs": [2]}}
     bare = {**label("single", place), "closure": {}}
     table = measures(judge.Scored(bare, result("effect", "backlash", where="run R07")))
@@ -143,8 +143,8 @@ def test_a_label_without_closures_and_runs_asks_for_none() -> None:
 
 
 def test_the_campaign_keeps_labels_and_its_table_is_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     """On a shipped campaign, with a world and diagnoses by hand; a failure stops nothing."""
     labels = [label("null"), label("single", CLEAR)]
     world = SimpleNamespace(
@@ -212,7 +212,7 @@ def clean(problem: GapProblem, seed: int) -> GapProblem:
 
 
 @pytest.mark.slow
-def test_stepwise_takes_the_form_of_least_bic(a3_case: Case) -> None:
+def test_stepwise_takes_the_form_of_least_bic(a3_case):
     """Against explicit least squares with a row a parameter for its tolerance."""
     problem, _ = prepare(a3_case.study, a3_case.readings)
     tried = ("servo_lag", "gravity", "bar_length")

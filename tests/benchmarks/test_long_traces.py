@@ -12,9 +12,7 @@ MOST = 2048.0
 @pytest.mark.slow
 @pytest.mark.parametrize("readings", [5000, 20000])
 @pytest.mark.parametrize(("gap", "answer"), [(True, "backlash"), (False, "no gap")])
-def test_a_diagnosis_of_long_traces_fits_into_memory(
-    readings: int, gap: bool, answer: str
-) -> None:
+def test_a_diagnosis_of_long_traces_fits_into_memory(readings, gap, answer):
     diagnosed = alone(diagnose_once, readings, gap)
     assert diagnosed.memory < MOST
     assert diagnosed.answer.startswith(answer)

@@ -46,7 +46,7 @@ def test_mean():
 """
 
 
-def test_mutations_of_a_text_are_those_listed() -> None:
+def test_mutations_of_a_text_are_those_listed():
     """Docstrings, annotations and formatted strings stay."""
     every = [(m.line, m.kind, m.applied(TEXT)) for m in mutations(TEXT)]
     for line, kind, fragment in EXPECTED:
@@ -54,7 +54,7 @@ def test_mutations_of_a_text_are_those_listed() -> None:
     assert {line for line, _, _ in every} == {2, 4, 5, 7}
 
 
-def test_a_mutation_changes_its_line_alone_and_what_it_computes() -> None:
+def test_a_mutation_changes_its_line_alone_and_what_it_computes():
     before, tree = TEXT.split("\n"), ast.dump(ast.parse(TEXT))
     for mutation in mutations(TEXT):
         text = mutation.applied(TEXT)
@@ -64,7 +64,7 @@ def test_a_mutation_changes_its_line_alone_and_what_it_computes() -> None:
         assert ast.dump(ast.parse(text)) != tree
 
 
-def test_an_expression_of_several_lines_changes_as_a_whole() -> None:
+def test_an_expression_of_several_lines_changes_as_a_whole():
     text = "x = (\n    ä\n    - b * (c + 1)\n)\n"
     (found,) = (m for m in mutations(text) if m.kind == "sign" and m.line == 2)
     assert found.before(text) == "ä\n    - b * (c + 1)"
@@ -92,7 +92,7 @@ def mutant(kind: str, line: int) -> Mutant:
     return Mutant("oed/toy", "oed/toy/mean.py", drawn[kind, line])
 
 
-def test_a_mark_stands_before_the_statement_of_its_line() -> None:
+def test_a_mark_stands_before_the_statement_of_its_line():
     """In TEXT: line 5 stands in a branch, and line 2 has the default of a function."""
     after = marked(TEXT, {2: 0, 5: 1}).replace("\n\n", "\n").split("\n")
     for number, statement in enumerate(("def total", "return max")):
@@ -100,7 +100,7 @@ def test_a_mark_stands_before_the_statement_of_its_line() -> None:
         assert after[k + 1].strip().startswith(statement)
 
 
-def test_modules_belong_to_the_folder_of_tests_that_mirrors_them(toy: Path) -> None:
+def test_modules_belong_to_the_folder_of_tests_that_mirrors_them(toy):
     for name in ("oed/plain.py", "studies/pkm_page/show.py", "oed/toy/more/sums.py"):
         (toy / name).parent.mkdir(parents=True, exist_ok=True)
         (toy / name).touch()
@@ -112,7 +112,7 @@ def test_modules_belong_to_the_folder_of_tests_that_mirrors_them(toy: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
+def test_a_fault_is_killed_and_an_equivalent_survives(toy):
     """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0.
 
     The function with a default of its own is not called.
@@ -130,7 +130,7 @@ def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
     assert (toy / "oed/toy/mean.py").read_text(encoding="utf-8") == TOY
 
 
-def test_a_mutant_without_end_is_killed_by_the_time_limit(toy: Path) -> None:
+def test_a_mutant_without_end_is_killed_by_the_time_limit(toy):
     start = TOY.index("n = len(x)")
     endless = Mutation("sign", 2, start, start + 10, "while True: pass")
     with mutants.copied(toy) as tree:
@@ -139,9 +139,7 @@ def test_a_mutant_without_end_is_killed_by_the_time_limit(toy: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_names_survivors_and_what_no_test_reaches(
-    toy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_survivors_and_what_no_test_reaches(toy, capsys):
     assert mutants.main(["--seed", "1", "--count", "9"], toy) == 1
     printed = capsys.readouterr().out
     assert "+ (n >= 0)" in printed
@@ -149,7 +147,7 @@ def test_the_command_names_survivors_and_what_no_test_reaches(
     assert re.search(r"^all +[2-4] +1 +1 +0$", printed, re.MULTILINE)
 
 
-def test_same_seed_draws_the_same_mutants(toy: Path) -> None:
+def test_same_seed_draws_the_same_mutants(toy):
     first, second = (
         draw(toy, ["oed/toy"], 2, np.random.default_rng(5)) for _ in range(2)
     )

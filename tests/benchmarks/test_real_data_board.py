@@ -1,7 +1,5 @@
 """The board of real machines: one entry runs, and its baselines are those published."""
 
-from pathlib import Path
-
 import pytest
 
 from benchmarks.real_data import ENTRIES, STUDIES, line, run
@@ -10,7 +8,7 @@ from pkm_studies.study.data_sources import jugglebot
 
 
 @pytest.mark.slow
-def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
+def test_an_entry_runs(shared_data, tmp_path):
     """The data's SOURCE.txt: 0.056 and 0.075 mm by least squares, 0.39 and 0.25 nominal."""
     if not (shared_data / "delta_v400").is_dir():
         pytest.skip("the folder delta_v400 with real measurements is not there")
@@ -23,7 +21,7 @@ def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
     assert f"| {heights.blind.rms:.3g} um |" in line(ENTRIES[0], heights)
 
 
-def test_entries_name_what_is_there() -> None:
+def test_entries_name_what_is_there():
     for entry in ENTRIES:
         assert bool(entry.study) != bool(entry.file)
         if entry.study:
@@ -32,7 +30,7 @@ def test_entries_name_what_is_there() -> None:
     assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
 
 
-def test_quaternions_become_the_angles_of_the_tracker(shared_data: Path) -> None:
+def test_quaternions_become_the_angles_of_the_tracker(shared_data):
     from scipy.spatial.transform import Rotation
 
     folder = shared_data / "jugglebot"

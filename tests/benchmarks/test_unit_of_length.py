@@ -30,23 +30,12 @@ FACTOR = 1000.0
 LENGTHS = ("um", "mm", "m", "mm_min")
 #: expected sizes of effects, um
 SIZES = {
-    "backlash": 10.0,
-    "bar_length": 10.0,
-    "drum_runout": 50.0,
-    "encoder_subdivision": 0.1,
-    "frame_bending": 20.0,
-    "friction": 4.0,
-    "gravity": 20.0,
-    "guideway": 10.0,
-    "joint_clearance": 10.0,
-    "joint_runout": 4.0,
-    "mount_drift": 5.0,
-    "pitch_accumulation": 10.0,
-    "pulley_radius": 1000.0,
-    "screw_cyclic": 3.0,
-    "step": 20.0,
-    "target_offset": 100.0,
-}
+    "backlash": 10.0, "bar_length": 10.0, "drum_runout": 50.0,
+    "encoder_subdivision": 0.1, "frame_bending": 20.0, "friction": 4.0, "gravity": 20.0,
+    "guideway": 10.0, "joint_clearance": 10.0, "joint_runout": 4.0, "mount_drift": 5.0,
+    "pitch_accumulation": 10.0, "pulley_radius": 1000.0, "screw_cyclic": 3.0,
+    "step": 20.0, "target_offset": 100.0,
+}  # fmt: skip
 #: lead of the screws, period of the scales and circumference of the drums, m
 LEAD, PERIOD, DRUM = 5e-3, 20e-6, 0.15
 #: a file of effects with these
@@ -164,7 +153,7 @@ def draw_fully_read(model: str, kind: str, seed: int) -> Case:
 
 
 @pytest.mark.parametrize("model", FAMILIES)
-def test_columns_of_effects_have_no_unit_of_length(model: str) -> None:
+def test_columns_of_effects_have_no_unit_of_length(model):
     """At the fitted parameters, which are a little apart: a fit ends early."""
     kind = "planar_position" if model == "cables_planar" else "ball_bar"
     drawn = draw_fully_read(model, kind, 6)
