@@ -15,8 +15,7 @@ from oed.result import StudyResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: what a row of a table can be marked as
-MARKS: Final = ("", "good", "bad", "chosen")
+MARKS: Final = ("", "good", "bad", "chosen")  #: what a row of a table can be marked as
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,15 +61,11 @@ class Code:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TableColumn:
-    """The heading of a column and how the column is set.
-
-    number    right-aligned, never wrapped
-    wide      takes the width that the other columns leave
-    """
+    """The heading of a column and how the column is set."""
 
     title: str
-    number: bool = False
-    wide: bool = False
+    number: bool = False  #: right-aligned, never wrapped
+    wide: bool = False  #: takes the width that the other columns leave
 
     @classmethod
     def texts(cls, *titles: str) -> list[TableColumn]:
@@ -85,17 +80,14 @@ class TableColumn:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Table:
-    """Cells as text, row by row.
-
-    marks    the meaning of each row (see MARKS), or empty
-    linked   whether the rows are the readings of the drawing, in its order
-    """
+    """Cells as text, row by row."""
 
     kind: ClassVar[str] = "table"
     columns: Sequence[TableColumn]
     rows: Sequence[Sequence[str]]
     caption: str
-    marks: Sequence[str] = ()
+    marks: Sequence[str] = ()  #: the meaning of each row (see MARKS), or empty
+    #: whether the rows are the readings of the drawing, in its order
     linked: bool = False
 
     def mark(self, row: int) -> str:

@@ -23,8 +23,7 @@ MARKS: Final[dict[Judgement, str]] = {
     "cannot tell": "chosen",
 }
 MINUS: Final = "\N{MINUS SIGN}"
-#: no line breaks between a number and its unit
-NO_BREAK: Final = "\N{NO-BREAK SPACE}"
+NO_BREAK: Final = "\N{NO-BREAK SPACE}"  #: no line breaks between a number and its unit
 #: the space between a number and its unit in a sentence
 BEFORE_UNIT: Final = re.compile(
     r"(?<=\d) (?=%|(?:mm|um|nm|rad|mrad|urad|deg|arcsec|min|ppm)\b)"
@@ -36,10 +35,8 @@ INVISIBLE: Final = {
     code: "\N{REPLACEMENT CHARACTER}"
     for code in (*range(9), 11, 12, *range(14, 32), 127)
 }
-#: size from which a number is written without a power of ten
-SMALLEST = 1e-4
-#: size up to which it is
-LARGEST = 1e6
+SMALLEST = 1e-4  #: size from which a number is written without a power of ten
+LARGEST = 1e6  #: size up to which it is
 #: size from which a number with given decimals gets a power of ten all the same
 TOO_LONG: Final = 1e9
 MAX_DECIMALS: Final = 9
@@ -138,8 +135,6 @@ def _minus_sign(written: str) -> str:
 
 
 # -- shares and ratios -----------------------------------------------------------------
-
-
 def percent(share: float | None) -> str:
     """A share as percent, with its missing value and signs as in all numbers."""
     x = or_nan(share)

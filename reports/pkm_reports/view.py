@@ -26,25 +26,21 @@ from pkm_reports.missing import or_nan
 
 # Circles of readings, with their residuals about the circle.
 
-#: circles that the page shows
-MAX_CIRCLES: Final = 12
-#: readings of a circle, at least
-MIN_CIRCLE_READINGS: Final = 8
+MAX_CIRCLES: Final = 12  #: circles that the page shows
+MIN_CIRCLE_READINGS: Final = 8  #: readings of a circle, at least
 #: spread of the radii and height above the plane, as shares of the radius
 CIRCLE_TOLERANCE: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CirclePass:
-    """One way round: angles in degrees, residuals before and after.
-
-    readings    numbers of the readings, from 0; empty where they are not known
-    """
+    """One way round: angles in degrees, residuals before and after."""
 
     name: str
     at: list[float]
     before: list[float]
     after: list[float]
+    #: numbers of the readings, from 0; empty where they are not known
     readings: list[int]
 
 
@@ -129,12 +125,9 @@ def angles_on_circle(points: Array) -> Array | None:
     return np.asarray(np.degrees(np.arctan2(around[:, 1], around[:, 0])) % 360.0)
 
 
-#: decimals of places, mm
-PLACE_DECIMALS: Final = 2
-#: significant digits of errors
-ERROR_DIGITS: Final = 4
-#: readings beyond which the page has no views
-MAX_READINGS: Final = 5000
+PLACE_DECIMALS: Final = 2  #: decimals of places, mm
+ERROR_DIGITS: Final = 4  #: significant digits of errors
+MAX_READINGS: Final = 5000  #: readings beyond which the page has no views
 
 Point = list[float]
 
@@ -157,18 +150,14 @@ class ViewLabel:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ViewReading:
-    """A reading: where the tool is and the far end of what is measured, mm.
-
-    words      the command, and where it is known the run
-    residuals  by channel, where the readings are fitted
-    """
+    """A reading: where the tool is and the far end of what is measured, mm."""
 
     setup: str
     run: str
-    words: str
+    words: str  #: the command, and where it is known the run
     at: Point
     far: Point | None
-    residuals: list[ReadingResiduals]
+    residuals: list[ReadingResiduals]  #: by channel, where the readings are fitted
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -46,16 +46,11 @@ Figures = Callable[[Mapping[str, Any], int], Mapping[str, Any]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Case:
-    """What a process needs for a row.
+    """What a process needs for a row."""
 
-    figures    computes them
-    setting    the varied values by field
-    seed       of the case
-    """
-
-    figures: Figures
-    setting: Mapping[str, Any]
-    seed: int
+    figures: Figures  #: computes them
+    setting: Mapping[str, Any]  #: the varied values by field
+    seed: int  #: of the case
 
 
 def evaluate(case: Case) -> dict[str, Any]:
@@ -90,8 +85,7 @@ def mean_interval(values: Sequence[float] | Array) -> tuple[float, float]:
 # A function is named by `path/to/file.py:function`, relative to the campaign, as machines
 # are. Every process looks its function up by itself.
 
-#: characters of a failure that are shown
-MAX_REASON_LENGTH = 150
+MAX_REASON_LENGTH = 150  #: characters of a failure that are shown
 
 
 class CaseFunctionError(RuntimeError):
@@ -100,16 +94,11 @@ class CaseFunctionError(RuntimeError):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class UserFunction:
-    """A function by name.
+    """A function by name."""
 
-    reference  its name, see the module
-    origin     of the campaign
-    file       of the campaign, for errors
-    """
-
-    reference: str
-    origin: Origin
-    file: str
+    reference: str  #: its name, see the module
+    origin: Origin  #: of the campaign
+    file: str  #: of the campaign, for errors
 
     def load(self, field: str) -> Callable[..., Any]:
         """The function itself. Raises InputError about a field of the campaign."""
@@ -170,8 +159,7 @@ def _plain(value: Any) -> Any:
 
 # A virtual machine of a study: read, identified, compensated and compared.
 
-#: prepared combinations that a process remembers
-CACHE_SIZE = 4
+CACHE_SIZE = 4  #: prepared combinations that a process remembers
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -31,21 +31,15 @@ from pkm_studies.base import InputError
 # Neighbouring items may share what is expensive to prepare. So each process starts with a
 # stretch of neighbours, and takes others' items only once its own are done.
 
-#: parameters of mallopt (malloc.h)
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-#: bytes of free memory that a process keeps
-KEPT = 64 * 2**20
-#: bytes of the largest block that comes from there
-LARGEST = 32 * 2**20
-#: items that each process has at once, so that none waits for the next
-ITEMS_AHEAD = 2
-#: seconds in which a scheduler has to answer
-PATIENCE = "10s"
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  #: parameters of mallopt (malloc.h)
+KEPT = 64 * 2**20  #: bytes of free memory that a process keeps
+LARGEST = 32 * 2**20  #: bytes of the largest block that comes from there
+ITEMS_AHEAD = 2  #: items that each process has at once, so that none waits for the next
+PATIENCE = "10s"  #: seconds in which a scheduler has to answer
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
-#: of a worker
-Name = TypeVar("Name")
+Name = TypeVar("Name")  #: of a worker
 
 
 def pool_results(
@@ -216,8 +210,6 @@ def _run_on_workers(
 # A Dask worker starts with MALLOC_TRIM_THRESHOLD_, so that memory goes back to the system
 # after each larger array and comes back page by page: cases then take a sixth more time.
 # The two values are those that the C library of Linux reaches by itself (mallopt(3)).
-
-
 @functools.cache
 def keep_freed_memory() -> bool:
     """Whether it could be set: with the GNU C library alone. Once in a process."""

@@ -30,14 +30,10 @@ if TYPE_CHECKING:
 
 # Figures of campaigns: coverage by combination.
 
-#: what 95 % intervals should hold
-NOMINAL_COVERAGE = 0.95
-#: height of a row, inches
-ROW = 0.28
-#: height of the axis below the rows, inches
-AXIS = 0.8
-#: characters of the name beside a row
-NAME_LENGTH = 40
+NOMINAL_COVERAGE = 0.95  #: what 95 % intervals should hold
+ROW = 0.28  #: height of a row, inches
+AXIS = 0.8  #: height of the axis below the rows, inches
+NAME_LENGTH = 40  #: characters of the name beside a row
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -67,8 +63,6 @@ def draw_coverage(rows: Mapping[str, Coverage]) -> Figure:
 
 
 # What virtual machines show: coverage and accuracy by combination, with figures.
-
-
 def machine_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
     """Intervals and accuracy."""
     accuracy = "Accuracy after compensation"
@@ -264,8 +258,6 @@ def _rows(summary: pd.DataFrame) -> Rows:
 
 
 # The table of a campaign, and its summary by combination.
-
-
 def read_table(campaign: Campaign, out: Path) -> pd.DataFrame:
     """One row a case, in the campaign's order, without processor times: always the same."""
     import pandas as pd
@@ -343,8 +335,6 @@ def _cell(value: Any) -> Any:
 
 
 # -- summary of a case function --------------------------------------------------------
-
-
 def summarise_means(cases: pd.DataFrame, setting: dict[str, Any]) -> dict[str, Any]:
     """Mean of each column of numbers, and the ends of its interval over cases."""
     row: dict[str, Any] = {}
@@ -361,8 +351,6 @@ def summarise_means(cases: pd.DataFrame, setting: dict[str, Any]) -> dict[str, A
 
 
 # -- summary of virtual machines -------------------------------------------------------
-
-
 def summarise_machines(fitted: pd.DataFrame) -> dict[str, Any]:
     """Figures of the machines of a combination that could be fitted.
 

@@ -12,51 +12,40 @@ Country = Annotated[str, msgspec.Meta(pattern="^([A-Z][A-Z])?$")]
 
 
 class CertifiedParameter(Record, frozen=True):
-    """An identified parameter of the machine, SI.
-
-    source  where the value comes from, in words
-    """
+    """An identified parameter of the machine, SI."""
 
     name: str
     about: str
     value: float
     sd: float
     unit: str
-    source: str
+    source: str  #: where the value comes from, in words
 
 
 class CertifiedAccuracy(Record, frozen=True):
-    """Errors of one pose component after compensation, SI.
-
-    verdict   of the acceptance test; None for a prediction
-    interval  95 % of the machines have an rms error between its ends
-    """
+    """Errors of one pose component after compensation, SI."""
 
     component: str
     rms: float
     max: float
     unit: str
     p95: float | None = None
+    #: 95 % of the machines have an rms error between its ends
     interval: tuple[float, float] | None = None
     limit: float | None = None
-    verdict: Judgement | None = None
+    verdict: Judgement | None = None  #: of the acceptance test; None for a prediction
 
 
 class Conformity(Record, frozen=True):
-    """Probability that a true value lies within its tolerance (JCGM 106), SI.
+    """Probability that a true value lies within its tolerance (JCGM 106), SI."""
 
-    quantity   what the tolerance is of
-    basis      what the probability rests on
-    tolerance  largest rms error, or largest departure from nominal
-    can_pass   whether conformity can be stated: a prediction that no reading beyond the
-               fit confirms is certified as such, with its probability
-    """
-
-    quantity: str
-    basis: str
-    tolerance: float
+    quantity: str  #: what the tolerance is of
+    basis: str  #: what the probability rests on
+    tolerance: float  #: largest rms error, or largest departure from nominal
     unit: str
     probability: float
+    #: whether conformity can be stated: a prediction that no reading beyond the fit
+    #: confirms is certified as such, with its probability
     can_pass: bool = True
 
 
@@ -116,12 +105,7 @@ class CertificateHead(Record, frozen=True, kw_only=True):
 
 
 class Certificate(Record, frozen=True, kw_only=True):
-    """All that a certificate states.
-
-    covariance  of the parameters, SI
-    reference   against which errors are stated: absolute, home or best_fit
-    conditions  sentences on what the figures rest on
-    """
+    """All that a certificate states."""
 
     head: CertificateHead
     study: str
@@ -130,15 +114,15 @@ class Certificate(Record, frozen=True, kw_only=True):
     about: str
     setups: list[str]
     parameters: list[CertifiedParameter]
-    covariance: list[list[float]]
+    covariance: list[list[float]]  #: of the parameters, SI
     readings: int
     poses: int
-    reference: str
+    reference: str  #: against which errors are stated: absolute, home or best_fit
     predicted: list[CertifiedAccuracy]
     verified_poses: int = 0
     verified: list[CertifiedAccuracy] = []
     conformity: list[Conformity] = []
-    conditions: list[str] = []
+    conditions: list[str] = []  #: sentences on what the figures rest on
 
     @property
     def verdicts(self) -> list[Judgement | None]:

@@ -25,18 +25,12 @@ CELLS: Final = {"": "", "+1": "1", "-1": "-1"}
 
 @dataclasses.dataclass(frozen=True)
 class Approach:
-    """What the page says about the side.
+    """What the page says about the side."""
 
-    sign        "+1" or "-1", the one to take next
-    coordinate  the first one of the command
-    by_pass     whether the set-up's protocol has passes both ways, each a reading
-    effects     effects of the machine that show from both sides only
-    """
-
-    sign: str
-    coordinate: str
-    by_pass: bool
-    effects: tuple[str, ...]
+    sign: str  #: "+1" or "-1", the one to take next
+    coordinate: str  #: the first one of the command
+    by_pass: bool  #: whether the set-up's protocol has passes both ways, each a reading
+    effects: tuple[str, ...]  #: effects of the machine that show from both sides only
 
     @property
     def verb(self) -> str:

@@ -22,23 +22,18 @@ from oed.dataset import ReadingsColumn
 from pkm_page import typed
 from pkm_studies.base import InputError
 
-#: time between two looks at a file, s
-PAUSE = 0.3
-#: time before a lost line is opened again, s
-AGAIN = 2.0
-#: bytes of a line, and of what is read at a time
-MAX_LINE_BYTES: Final = 4000
+PAUSE = 0.3  #: time between two looks at a file, s
+AGAIN = 2.0  #: time before a lost line is opened again, s
+MAX_LINE_BYTES: Final = 4000  #: bytes of a line, and of what is read at a time
 MAX_STREAM_BYTES: Final = 4_000_000
-#: what ends a line
-END: Final = re.compile(rb"\r\n|\r|\n")
+END: Final = re.compile(rb"\r\n|\r|\n")  #: what ends a line
 BAUD: Final = 9600
 BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 #: said until a whole line came: a connection may join in the midst of one
 JOINED: Final = (
     "The first line after a connection does not count: its beginning was not seen"
 )
-#: beginnings of sources that are no files
-TCP, SERIAL = "tcp://", "serial:"
+TCP, SERIAL = "tcp://", "serial:"  #: beginnings of sources that are no files
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,8 +16,7 @@ from urllib.parse import parse_qs
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-#: bytes of a request's body, and of its path with the query
-MAX_BYTES: Final = 16_384
+MAX_BYTES: Final = 16_384  #: bytes of a request's body, and of its path with the query
 MAX_PATH_CHARACTERS: Final = 512
 COOKIE: Final = "oed_token"
 SAFE: Final = ("GET", "HEAD")

@@ -26,8 +26,7 @@ from pkm_studies.results import BadFitError
 if TYPE_CHECKING:
     from subprocess import Popen
 
-#: time between two looks at the readings file, s
-POLL_SECONDS: Final = 0.5
+POLL_SECONDS: Final = 0.5  #: time between two looks at the readings file, s
 #: commands that evaluate the readings, by the word on the button
 FITS: Final = ("identify", "diagnose")
 
@@ -84,7 +83,6 @@ class MachinePage:
         self.job.stop()
 
     # -- state -------------------------------------------------------------------------
-
     def token(self) -> str:
         """Changes with everything that pages show."""
         state = self.session.state
@@ -143,7 +141,6 @@ class MachinePage:
         return {"number": offer.number, "entries": texts}
 
     # -- changes -----------------------------------------------------------------------
-
     def take(self, entry: ReadingEntry) -> None:
         """Take a reading. Raises as `MachineSession.take`."""
         self.session.take(
@@ -254,27 +251,20 @@ def stored_report(folder: Path) -> str:
 
 # Work that takes longer than a reading: a command of `oed` in a process of its own.
 
-#: module of the command
-OED: Final = "pkm_studies.commands.cli"
+OED: Final = "pkm_studies.commands.cli"  #: module of the command
 
-#: lines of output that are kept
-MAX_LINES: Final = 200
-#: characters of a line
-MAX_LINE_CHARACTERS: Final = 1000
-#: stage after which a command says its results
-LAST_STAGE: Final = "report"
+MAX_LINES: Final = 200  #: lines of output that are kept
+MAX_LINE_CHARACTERS: Final = 1000  #: characters of a line
+LAST_STAGE: Final = "report"  #: stage after which a command says its results
 
 
 @dataclasses.dataclass(frozen=True)
 class CommandState:
-    """What a job does: its name, the stage it is at, and its output at the end.
-
-    code  exit code; None while it runs, and before the first job
-    """
+    """What a job does: its name, the stage it is at, and its output at the end."""
 
     name: str = ""
     stage: str = ""
-    code: int | None = None
+    code: int | None = None  #: exit code; None while it runs, and before the first job
     lines: tuple[str, ...] = ()
 
     @property

@@ -25,16 +25,12 @@ from pkm_studies.resolve import described_machine
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
-#: characters of a size, as a list of numbers
-MAX_SIZE_CHARACTERS: Final = 2000
-#: digits of a size in its cell
-SIZE_DIGITS: Final = 7
-#: names of three coordinates, as heads of a table
-AXES: Final = ("x", "y", "z")
+MAX_SIZE_CHARACTERS: Final = 2000  #: characters of a size, as a list of numbers
+SIZE_DIGITS: Final = 7  #: digits of a size in its cell
+AXES: Final = ("x", "y", "z")  #: names of three coordinates, as heads of a table
 #: sizes that are one point, where others of three numbers are one for each leg
 POINTS: Final = ("home", "pivot")
-#: beginnings of the names of fields
-GEOMETRY, WANTED = "geometry.", "wanted."
+GEOMETRY, WANTED = "geometry.", "wanted."  #: beginnings of the names of fields
 
 
 class NewStudy(msgspec.Struct, forbid_unknown_fields=True):
@@ -50,25 +46,16 @@ class NewStudy(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclasses.dataclass(frozen=True)
 class SizeField:
-    """A size to enter, as a table of numbers.
+    """A size to enter, as a table of numbers."""
 
-    key      in the study
-    label    its name with its unit, as one reads it
-    rows     of texts; empty ones where the family derives the value
-    heads    of the columns; none of one number
-    nested   the value is a list of rows
-    places   the rows are points, as those of a circle on a drawing
-    growing  there may be more rows, or fewer
-    """
-
-    key: str
-    label: str
-    rows: list[list[str]]
-    heads: list[str]
+    key: str  #: in the study
+    label: str  #: its name with its unit, as one reads it
+    rows: list[list[str]]  #: of texts; empty ones where the family derives the value
+    heads: list[str]  #: of the columns; none of one number
     about: str
-    nested: bool
-    places: bool
-    growing: bool
+    nested: bool  #: the value is a list of rows
+    places: bool  #: the rows are points, as those of a circle on a drawing
+    growing: bool  #: there may be more rows, or fewer
 
     @property
     def derived(self) -> bool:

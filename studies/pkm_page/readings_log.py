@@ -22,13 +22,11 @@ from oed.dataset import DECIMAL_COMMA, MAX_BYTES, ReadingsColumn, SplitText, dec
 from pkm_studies import files
 from pkm_studies.base import InputError
 
-#: version of a file that is not there
-ABSENT: Final = "absent"
+ABSENT: Final = "absent"  #: version of a file that is not there
 REMARK: Final = "remark"
 #: what a remark says before the value of a reading that was undone
 UNDONE: Final = "undone"
-#: hexadecimal digits of a version
-VERSION_DIGITS: Final = 16
+VERSION_DIGITS: Final = 16  #: hexadecimal digits of a version
 
 
 class StaleError(Exception):
@@ -37,17 +35,12 @@ class StaleError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class FileContent:
-    """A readings file as it stands on the disk.
+    """A readings file as it stands on the disk."""
 
-    version    of its bytes
-    above      text above the header, with a byte order mark where the file has one
-    separator  between cells
-    rows       cells of all rows, the header first; none where there is no file
-    """
-
-    version: str
-    above: str
-    separator: str
+    version: str  #: of its bytes
+    above: str  #: text above the header, with a byte order mark where the file has one
+    separator: str  #: between cells
+    #: cells of all rows, the header first; none where there is no file
     rows: tuple[tuple[str, ...], ...]
 
     @property

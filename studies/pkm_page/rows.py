@@ -20,15 +20,12 @@ from pkm_studies.base import InputError
 from pkm_studies.resolve import PASS_SUFFIX
 from pkm_studies.sessions import SkippedPose
 
-#: run of a skipped pose that is relative to a reference
-SKIPPED_RUN = "skipped"
+SKIPPED_RUN = "skipped"  #: run of a skipped pose that is relative to a reference
 #: decimals of a command, mm or deg: those that a controller takes
 COMMAND_DECIMALS: Final = 4
-#: characters of a remark
-MAX_REMARK_LENGTH: Final = 200
+MAX_REMARK_LENGTH: Final = 200  #: characters of a remark
 TIME: Final = "time_s"
-#: the comment that says when time_s is zero
-STARTED: Final = "time_s counts from"
+STARTED: Final = "time_s counts from"  #: the comment that says when time_s is zero
 _STARTED: Final = re.compile(rf"# {STARTED} (\S+)")
 
 

@@ -40,8 +40,7 @@ from pkm_studies.user_code import Consent
 
 # The acceptance test of a result on the page: the file to fill in, and its judgement.
 
-#: bytes of a file to fill in
-MAX_BYTES: Final = 1_000_000
+MAX_BYTES: Final = 1_000_000  #: bytes of a file to fill in
 
 
 class FilledIn(msgspec.Struct, forbid_unknown_fields=True):
@@ -76,17 +75,13 @@ def judge_acceptance(folder: Path, text: str) -> list[str]:
     return [*verdict_sentences(verdict), f"Stored as {stored.name}."]
 
 
-#: time between two looks for news, s
-PAUSE = 0.1
-#: time from one sign of life to the next, s
-ALIVE = 15.0
-#: pages that may listen at once
-MAX_LISTENERS: Final = 32
+PAUSE = 0.1  #: time between two looks for news, s
+ALIVE = 15.0  #: time from one sign of life to the next, s
+MAX_LISTENERS: Final = 32  #: pages that may listen at once
 #: status of an answer: in doubt or out of date; not usable; too many
 CONFLICT, UNUSABLE, TOO_MANY = 409, 422, 429
 
-#: machine of a new form
-FIRST: Final = "hexapod_ups"
+FIRST: Final = "hexapod_ups"  #: machine of a new form
 
 Body = TypeVar("Body")
 
@@ -429,10 +424,8 @@ async def _absent(_: Request, __: Exception) -> Response:
 # Opens a study or results on a local address, and serves the page until it is stopped.
 
 LOCAL: Final = "127.0.0.1"
-#: bytes of a token
-TOKEN_BYTES: Final = 24
-#: seconds that open pages have at the end
-SHUTDOWN_SECONDS: Final = 1
+TOKEN_BYTES: Final = 24  #: bytes of a token
+SHUTDOWN_SECONDS: Final = 1  #: seconds that open pages have at the end
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,8 +35,7 @@ FIT_ERRORS: Final = (
     ValueError,
     ArithmeticError,
 )
-#: fits that are remembered, by version of the file
-REMEMBERED_FITS: Final = 4
+REMEMBERED_FITS: Final = 4  #: fits that are remembered, by version of the file
 #: keys of entries that are remembered, so that one sent twice is taken once
 MAX_KEYS: Final = 1000
 
@@ -64,20 +63,15 @@ class Pose:
 
 @dataclasses.dataclass(frozen=True)
 class SessionState:
-    """What all pages show.
+    """What all pages show."""
 
-    content  the readings file
-    fitted   its readings; None before the first one
-    advice   after them; None where they cannot be used: `problem` says why
-    pose     of the next reading; None likewise
-    number   larger than that of any state before it, after a new start of the server too
-    """
-
-    content: FileContent
-    fitted: FittedReadings | None
+    content: FileContent  #: the readings file
+    fitted: FittedReadings | None  #: its readings; None before the first one
+    #: after them; None where they cannot be used: `problem` says why
     advice: Advice | None
-    pose: Pose | None
+    pose: Pose | None  #: of the next reading; None likewise
     problem: str = ""
+    #: larger than that of any state before it, after a new start of the server too
     number: int = dataclasses.field(default_factory=time.time_ns)
 
 
@@ -109,7 +103,6 @@ class MachineSession:
         return self.adviser.everything
 
     # -- what changes ------------------------------------------------------------------
-
     def take(
         self,
         version: str,
@@ -219,7 +212,6 @@ class MachineSession:
         )
 
     # -- what follows ------------------------------------------------------------------
-
     def _based_on(self, version: str) -> FileContent:
         self.refresh()
         if self.state.content.version != version:

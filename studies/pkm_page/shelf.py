@@ -14,36 +14,28 @@ from pkm_studies.base import InputError
 from pkm_studies.results import load_result
 from pkm_studies.study import SUFFIX
 
-#: folders deep, and results, that are looked for
-MAX_FOLDER_DEPTH: Final = 3
+MAX_FOLDER_DEPTH: Final = 3  #: folders deep, and results, that are looked for
 MAX_RESULTS: Final = 200
 RESULT: Final = "result.json"
-#: hexadecimal digits of a key
-KEY_DIGITS: Final = 12
+KEY_DIGITS: Final = 12  #: hexadecimal digits of a key
 
 
 @dataclasses.dataclass(frozen=True)
 class Card:
-    """A result in short: accuracy before and after by component, and what speaks against it.
+    """A result in short: accuracy before and after by component, and what speaks against it."""
 
-    key     of its folder, for addresses
-    place   its folder, relative to the shelf's
-    is_usable  whether a controller's file and an acceptance test follow from it
-    is_planned  whether an acceptance test is planned
-    verdict     of that test; None before
-    """
-
-    key: str
-    place: str
+    key: str  #: of its folder, for addresses
+    place: str  #: its folder, relative to the shelf's
     title: str
     machine: str
     written: str
     readings: str
     accuracy: tuple[tuple[str, str, str], ...]
     doubts: tuple[str, ...]
+    #: whether a controller's file and an acceptance test follow from it
     is_usable: bool
-    is_planned: bool
-    verdict: Judgement | None
+    is_planned: bool  #: whether an acceptance test is planned
+    verdict: Judgement | None  #: of that test; None before
 
 
 class Shelf:

@@ -25,8 +25,7 @@ from pkm_studies.stages import estimate_section
 
 # What the readings so far say, as tables: accuracy, parameters, combinations, next ones.
 
-#: probability beyond each end of an interval
-TAIL_PROBABILITY: Final = 0.025
+TAIL_PROBABILITY: Final = 0.025  #: probability beyond each end of an interval
 #: next readings and combinations that are shown, and parameters of a combination
 MAX_SHOWN: Final = 5
 MAX_TERMS: Final = 4
@@ -257,8 +256,7 @@ def remaining(advice: Advice) -> int | None:
 
 # The state of a session as the page shows it: texts, tables and the view to turn.
 
-#: last readings that are listed beside the entry
-MAX_LISTED_READINGS: Final = 4
+MAX_LISTED_READINGS: Final = 4  #: last readings that are listed beside the entry
 
 
 @dataclasses.dataclass(frozen=True)

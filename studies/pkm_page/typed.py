@@ -8,8 +8,7 @@ from typing import Final
 from pkm_studies.base import InputError
 
 NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
-#: characters of an entry
-MAX_ENTRY_CHARACTERS: Final = 24
+MAX_ENTRY_CHARACTERS: Final = 24  #: characters of an entry
 
 
 def read(text: str, field: str) -> float:

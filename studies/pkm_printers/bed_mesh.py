@@ -21,20 +21,16 @@ from pkm_studies.importers import MeshUse, Row
 # A contact of a delta with its bed, as its firmware has it, and its row of readings.
 
 SETUP = "probe"
-#: decimals of a sum of heights, mm
-SUM_DECIMALS = 9
+SUM_DECIMALS = 9  #: decimals of a sum of heights, mm
 
 
 class ProbedPoint(NamedTuple):
-    """Where the nozzle was at contact, and the height that the firmware believed in; mm.
-
-    probe  place of the probe from the nozzle
-    """
+    """Where the nozzle was at contact, and the height that the firmware believed in; mm."""
 
     x: float
     y: float
     z: float
-    probe: Offset = (0.0, 0.0)
+    probe: Offset = (0.0, 0.0)  #: place of the probe from the nozzle
 
 
 def probes_of(points: Iterable[ProbedPoint]) -> dict[str, Offset]:
@@ -67,8 +63,7 @@ def contact_row(order: int, point: ProbedPoint, setup: str, height: float) -> Ro
 
 # Heights that a firmware probed at the nodes of a grid.
 
-#: mm; places of a mesh are rounded by as much
-PLACE_TOLERANCE_MM = 0.1
+PLACE_TOLERANCE_MM = 0.1  #: mm; places of a mesh are rounded by as much
 #: standard deviation, mm, of a mesh's level against that of the calibration
 LEVEL_SD_MM = 1.0
 USES = {

@@ -15,8 +15,7 @@ MODEL = "delta_printer"
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees
 TOWER_ANGLES = np.array([210.0, 330.0, 90.0])
-#: half the workspace's width over the delta's radius, at least
-WIDTH_SHARE = 0.8
+WIDTH_SHARE = 0.8  #: half the workspace's width over the delta's radius, at least
 #: parameters that a firmware frees with a number of factors: endstops, radius, angles of
 #: two towers, length of the rods, slopes of the bed
 ENDSTOPS = ("endstop1", "endstop2", "endstop3")
@@ -58,15 +57,7 @@ sigma_deg = 2.0
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DeltaGeometry:
-    """A delta as its firmware knows it; mm and deg, as in the firmware's files.
-
-    radius       from the middle to a carriage, less the platform's radius
-    arms         arm lengths (3,)
-    angles       of the towers (3,), counter-clockwise from x
-    endstops     height (3,) of the tool over the bed at each endstop
-    radius_trim  (3,) what each tower adds to the radius
-    bed_slope    (2,) what the firmware adds to z along x and y, mm/mm
-    """
+    """A delta as its firmware knows it; mm and deg, as in the firmware's files."""
 
     model: ClassVar[str] = MODEL
     about: ClassVar[str] = "delta printer"
@@ -77,11 +68,13 @@ class DeltaGeometry:
     tolerances: ClassVar[str] = TOLERANCES
     unit: ClassVar[str] = "mm"
 
-    radius: float
-    arms: Array
-    angles: Array
-    endstops: Array
+    radius: float  #: from the middle to a carriage, less the platform's radius
+    arms: Array  #: arm lengths (3,)
+    angles: Array  #: of the towers (3,), counter-clockwise from x
+    endstops: Array  #: height (3,) of the tool over the bed at each endstop
+    #: (3,) what each tower adds to the radius
     radius_trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
+    #: (2,) what the firmware adds to z along x and y, mm/mm
     bed_slope: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
 
     @property

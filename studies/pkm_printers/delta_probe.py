@@ -39,8 +39,7 @@ from pkm_studies.tables import ControllerTable
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
-#: the firmware that holds slopes of the bed
-WITH_SLOPES = "rrf"
+WITH_SLOPES = "rrf"  #: the firmware that holds slopes of the bed
 TILTS = "Effector: a probe beside the nozzle also reads how the effector tilts over the bed."
 TILTS_FITTED = (
     "The study has that as six unknowns, of rods of a pair and of carriages that are right by"
@@ -58,8 +57,7 @@ ASSUMED = (
 )
 NOISE = "standard deviation of one reading, the bed's flatness included"
 
-#: mm; no point of a bed is farther away
-MAX_BED_COORDINATE_MM = 1e4
+MAX_BED_COORDINATE_MM = 1e4  #: mm; no point of a bed is farther away
 
 
 def delta_session(
@@ -190,14 +188,11 @@ def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
 #
 #     F = (S6 - S8) / 2 / (S8 / (n - 8)),    distributed as F(2, n - 8).
 
-#: factors without the lean
-PLAIN = 6
-#: factors with the lean
-LEANING = 8
+PLAIN = 6  #: factors without the lean
+LEANING = 8  #: factors with the lean
 #: heights that give the lean with one degree of freedom to spare
 MIN_LEAN_HEIGHTS = LEANING + 1
-#: probability by chance below which a lean is reported
-LEAN_P_VALUE = 0.01
+LEAN_P_VALUE = 0.01  #: probability by chance below which a lean is reported
 #: standard deviations by which a lean must stand out to be seen
 MIN_LEAN_DEVIATIONS = 3.0
 #: standard deviation of a lean, times the probed radius and over the noise of a height, from

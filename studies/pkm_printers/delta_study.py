@@ -26,14 +26,12 @@ TITLES = {
     "rrf": "RepRapFirmware",
     "smoothie": "Smoothieware",
 }
-#: place (2,) of a probe from the nozzle, mm
-Offset = tuple[float, float]
+Offset = tuple[float, float]  #: place (2,) of a probe from the nozzle, mm
 #: share of the probed radius that the accuracy is predicted on
 PREDICTED_RADIUS_SHARE = 0.7
 #: correlation of the errors of the three arms: their differences are held within 10 um
 ARM_ERROR_CORRELATION = 0.999998
-#: further heights that estimate how far they scatter
-SPARE_HEIGHTS = 4
+SPARE_HEIGHTS = 4  #: further heights that estimate how far they scatter
 FIXED_BECAUSE = "not among what is fitted; heights alone give the arms badly"
 EXACT_TRIGGER = "the firmware takes the trigger height as exact"
 COMMON_ARM = f"""
@@ -60,35 +58,23 @@ def controller_text(controller: ControllerTable) -> str:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DeltaStudy:
-    """What the study of a delta printer says.
-
-    controller     the firmware
-    free           parameters that are identified
-    noise          the lines of [noise]
-    calliper       whether distances were read as well
-    probed_radius  mm, of the bed
-    heights        mm, at which the accuracy is predicted
-    probes         places (2,) from the nozzle, mm, of the probes that read, by set-up
-    accounts       sentences on what became of the words of the files
-    mesh_setups    tables [[setup]] of bed meshes
-    mesh_radius    mm, of their places
-    predict        set-ups that are predicted, not fitted
-    """
+    """What the study of a delta printer says."""
 
     name: str
-    controller: ControllerTable
+    controller: ControllerTable  #: the firmware
     files: str
     geometry: PrinterGeometry
-    free: tuple[str, ...]
-    noise: str
-    calliper: bool
-    probed_radius: float
-    heights: tuple[float, ...]
+    free: tuple[str, ...]  #: parameters that are identified
+    noise: str  #: the lines of [noise]
+    calliper: bool  #: whether distances were read as well
+    probed_radius: float  #: mm, of the bed
+    heights: tuple[float, ...]  #: mm, at which the accuracy is predicted
+    #: places (2,) from the nozzle, mm, of the probes that read, by set-up
     probes: Mapping[str, Offset]
-    accounts: Sequence[str] = ()
-    mesh_setups: str = ""
-    mesh_radius: float = 0.0
-    predict: Sequence[str] = ()
+    accounts: Sequence[str] = ()  #: sentences on what became of the words of the files
+    mesh_setups: str = ""  #: tables [[setup]] of bed meshes
+    mesh_radius: float = 0.0  #: mm, of their places
+    predict: Sequence[str] = ()  #: set-ups that are predicted, not fitted
 
     @property
     def title(self) -> str:

@@ -16,8 +16,7 @@ TOWERS = "abc"
 HEIGHTS = ("session", "i", "height_mm", "steps_a", "steps_b", "steps_c")
 POINTS = [f"p{point}_{tower}" for point in (1, 2) for tower in TOWERS]
 DISTANCES = ("session", "i", "distance_mm", *POINTS)
-#: mm a step of each tower, by session
-StepSizes = Mapping[str, list[float]]
+StepSizes = Mapping[str, list[float]]  #: mm a step of each tower, by session
 
 
 def rows(folder: Path) -> Iterator[Row]:

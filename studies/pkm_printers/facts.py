@@ -21,8 +21,7 @@ COUNTS = {
     "radius_trim_mm": 3,
     "rod_trim_mm": 3,
 }
-#: trims (3,) of the towers where a user states none, mm
-NO_TRIMS = (0.0, 0.0, 0.0)
+NO_TRIMS = (0.0, 0.0, 0.0)  #: trims (3,) of the towers where a user states none, mm
 VERSION, FACTORS = "firmware_version", "factors"
 FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version|factors)\s*=(.*)")
 

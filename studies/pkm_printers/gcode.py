@@ -25,8 +25,7 @@ ENDS = r"(?![\w.]|,\d)"
 #: what follows a letter: a text in quotes, an expression, or anything up to a blank; a
 #: letter with the rest of an English word is none
 VALUE = r'(?:"[^"]*"|\{[^{}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
-#: letters of words; G and M start the next command of a line
-LETTER = "[A-FH-LN-Z]"
+LETTER = "[A-FH-LN-Z]"  #: letters of words; G and M start the next command of a line
 COMMAND = re.compile(
     rf"(?<![\w.])([GM]\d+(?:\.\d+)?)(?![\d.])((?:\s*{LETTER}{VALUE})*)"
 )
@@ -46,16 +45,12 @@ OF_REPETIER = (
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TextLine:
-    """A line of a file.
+    """A line of a file."""
 
-    text  without the comment after ;
-    raw   with it
-    """
-
-    text: str
+    text: str  #: without the comment after ;
     file: str
     number: int
-    raw: str = ""
+    raw: str = ""  #: with it
 
     def error(self, problem: str, remedy: str, what: str = "") -> InputError:
         """The error to raise for this line."""

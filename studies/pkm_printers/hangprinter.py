@@ -40,17 +40,14 @@ from pkm_studies.resolve import described_machine
 from pkm_studies.tables import ControllerTable, MachineTable
 from pkm_studies.user_code import Origin
 
-#: letters of the anchors in the firmware's order
-LETTERS: Final = "ABCDI"
+LETTERS: Final = "ABCDI"  #: letters of the anchors in the firmware's order
 MODEL: Final = "cable_robot"
 #: words of M666 that the firmware has without, by line
 USUAL: Final = {"H": 255.0, "L": 20.0, "O": 1.0}
 #: words that are identified, or written in any case; others are written back as they are
 WRITTEN: Final = f"{LETTERS}KN", "QR"
-#: share of the nearest anchor's distance that the workspace spans across
-ACROSS = 0.25
-#: share of the highest anchor's height that it spans upward
-UP = 0.6
+ACROSS = 0.25  #: share of the nearest anchor's distance that the workspace spans across
+UP = 0.6  #: share of the highest anchor's height that it spans upward
 MORE_LINES: Final = refused(
     "the firmware has five anchors at most, A to D and I", "remove it from a copy"
 )
@@ -72,8 +69,7 @@ WORDS: Final[WordTable] = {
     "M666": M666,
     "G20": {"": refused("the numbers are in inches", "give them in mm")},
 }
-#: mm; no anchor is farther away
-MAX_ANCHOR_MM: Final = 1e6
+MAX_ANCHOR_MM: Final = 1e6  #: mm; no anchor is farther away
 PLACE_NOISE: Final = {f"read_{axis}_mm": 1.0 for axis in "xyz"}
 GAP_MM: Final = 0.5
 #: share of the nearest anchor's distance within which all poses say nothing of a machine
@@ -301,8 +297,6 @@ def _numbered(column: str, values: Sequence[float]) -> dict[str, str]:
 
 
 # -- whether motor angles are degrees --------------------------------------------------
-
-
 def check_motor_unit(machine: Machine, motors: Array, places: Array, file: str) -> None:
     """Raises InputError where the motors do not turn as the places and lines want.
 

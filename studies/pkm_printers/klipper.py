@@ -44,16 +44,14 @@ STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
 #: what a tower of a fork's delta adds to the radius
 RADIUS_OFFSET = "delta_radius_offset"
-#: turn of the last gear of a rotary delta, degrees
-FULL_TURN = 360.0
+FULL_TURN = 360.0  #: turn of the last gear of a rotary delta, degrees
 #: ends of the names of files of the console, in which each sample of the probe is a line
 LOGS = (".log", ".txt")
 #: weight of a height's square over that of a distance, times heights over distances
 MEASURE_WEIGHT = 0.5
 #: standard deviation, mm, of one probed height, with the bed's flatness
 HEIGHT_SIGMA = 0.1
-#: standard deviation, mm, of one calliper distance
-DISTANCE_SIGMA = 0.05
+DISTANCE_SIGMA = 0.05  #: standard deviation, mm, of one calliper distance
 FULL_STEPS = 200.0
 #: a saved position, and what was measured there
 POSITION = re.compile(r"((?:manual_)?height\d+|distance\d+)_pos[12]?")
@@ -346,8 +344,6 @@ def _statements(
 #
 # Positions are steps. Where the steps of the configuration were changed since, they are
 # those of another travel, and the tool would be far off the bed, or nowhere.
-
-
 def check_positions(
     positions: Mapping[str, tuple[Entry, Sequence[float], float]],
     geometry: PrinterGeometry,

@@ -116,8 +116,7 @@ CALIBRATE: Final[dict[str, Word]] = {
         ),
     ),
 }
-#: all saved profiles of meshes
-PROFILES: Final = "[bed_mesh <profile>]"
+PROFILES: Final = "[bed_mesh <profile>]"  #: all saved profiles of meshes
 LEVEL_OF_MESH: Final = costs(
     "it sets the level of a mesh, which counts for nothing here"
 )

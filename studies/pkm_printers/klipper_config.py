@@ -23,8 +23,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.importers import line_field
 
-#: bytes of the largest configuration
-MAX_BYTES = 4_000_000
+MAX_BYTES = 4_000_000  #: bytes of the largest configuration
 SAVED = "#*#"
 #: the lines with which the saved block begins
 HEADER = (
@@ -58,8 +57,7 @@ class Entry:
         return InputError(problem, remedy, file=self.file, field=field, value=self.text)
 
 
-#: values by section and key
-Entries = dict[tuple[str, str], Entry]
+Entries = dict[tuple[str, str], Entry]  #: values by section and key
 
 
 @dataclasses.dataclass
@@ -73,16 +71,12 @@ class _Parsed:
 
 @dataclasses.dataclass(frozen=True)
 class KlipperConfig:
-    """The options of one or more files, later ones winning; and those not in use.
-
-    unused    saved values over which a written one wins
-    sections  headings as written, with their lines
-    """
+    """The options of one or more files, later ones winning; and those not in use."""
 
     file: str
     entries: Entries
-    unused: Entries
-    sections: dict[str, int]
+    unused: Entries  #: saved values over which a written one wins
+    sections: dict[str, int]  #: headings as written, with their lines
 
     def find(self, section: str, key: str) -> Entry | None:
         """The entry, or None."""
@@ -234,8 +228,7 @@ PROBES: Final = ("probe", "bltouch", "smart_effector")
 #: options of any other section that is a probe: [scanner], [probe_eddy_current x]
 OFFSETS: Final = ("x_offset", "y_offset")
 REMEDY: Final = "import the profile as SAVE_CONFIG wrote it, or remove it"
-#: mm; no mesh has a larger height
-MAX_MESH_HEIGHT_MM: Final = 100.0
+MAX_MESH_HEIGHT_MM: Final = 100.0  #: mm; no mesh has a larger height
 MARGIN: Final = "the firmware filled them up from probed ones"
 
 

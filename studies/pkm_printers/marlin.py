@@ -79,10 +79,8 @@ G33: Final[dict[str, Word]] = {
 BED_LEVELING: Final = costs(
     "with bed leveling on, heights may be those over the mesh: probe with M420 S0"
 )
-#: M665 B, mm, above which it cannot be the trim of a rod
-MAX_TRIM = 10.0
-#: versions whose M665 has no H
-EARLY = "1.1.0-RC8 or earlier"
+MAX_TRIM = 10.0  #: M665 B, mm, above which it cannot be the trim of a rod
+EARLY = "1.1.0-RC8 or earlier"  #: versions whose M665 has no H
 NO_M503 = "log the answer of M503 as well: it prints M665 and M666"
 #: what a study says of M665 B
 ABOUT_B: Mapping[MeaningOfB, str] = {
@@ -94,8 +92,7 @@ ABOUT_B: Mapping[MeaningOfB, str] = {
     ROD_TRIM: "M665 A, B, C are trims of the rods, as in Marlin {versions}.",
 }
 
-#: numbers that a user added, by name
-Given = Mapping[str, tuple[float, ...]]
+Given = Mapping[str, tuple[float, ...]]  #: numbers that a user added, by name
 GRID_HEADING: Final = re.compile(r"Bilinear Leveling Grid:")
 #: a row of the grid, after what a host writes before it
 GRID_ROW: Final = re.compile(r"(?:^|[\s:<>])(\d+)((?:\s+(?:[-+]\d*\.\d+|=+|nan))+)\s*$")
@@ -256,8 +253,6 @@ def _points_over_bed(
 
 #
 # After Marlin's G-code pages and its M665, M666 and G33 by version.
-
-
 def word_table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
     """The words by what M665 B is, and by whether M665 has H.
 
@@ -399,21 +394,16 @@ NO_HEIGHT = (
 
 @dataclasses.dataclass(frozen=True)
 class Home:
-    """Where a printer is at home.
+    """Where a printer is at home."""
 
-    endstops      heights (3,) of the nozzle over the bed at each endstop, mm
-    offset        height of the nozzle at home over M665 H, M666 aside, mm; NOT_KNOWN
-                  where the log does not show it, and the height is taken as H
-    probe_z       M851 Z, mm; None where the log has none
-    steps_per_mm  of the towers; None where the log has no M92
-    notes         sentences
-    """
-
+    #: heights (3,) of the nozzle over the bed at each endstop, mm
     endstops: tuple[float, ...]
+    #: height of the nozzle at home over M665 H, M666 aside, mm; NOT_KNOWN where the log
+    #: does not show it, and the height is taken as H
     offset: float | Literal["not known"]
-    probe_z: float | None
-    steps_per_mm: float | None
-    notes: list[str]
+    probe_z: float | None  #: M851 Z, mm; None where the log has none
+    steps_per_mm: float | None  #: of the towers; None where the log has no M92
+    notes: list[str]  #: sentences
 
 
 def printer_home(

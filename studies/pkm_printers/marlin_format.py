@@ -69,20 +69,13 @@ STEPS = (
 
 @dataclasses.dataclass(frozen=True)
 class _Target:
-    """The firmware that is written for.
+    """The firmware that is written for."""
 
-    b            what M665 B is to be; None where it is not written
-    is_sure      whether that is known
-    home_offset  height of the nozzle at home over M665 H, mm
-    home_notes   what is not known of it
-    down         mm that each tower goes down from its switch at least
-    """
-
-    b: MeaningOfB | None
-    is_sure: bool
-    home_offset: float
-    home_notes: tuple[str, ...]
-    down: float
+    b: MeaningOfB | None  #: what M665 B is to be; None where it is not written
+    is_sure: bool  #: whether that is known
+    home_offset: float  #: height of the nozzle at home over M665 H, mm
+    home_notes: tuple[str, ...]  #: what is not known of it
+    down: float  #: mm that each tower goes down from its switch at least
 
 
 def write(compensation: Compensation) -> Texts:

@@ -33,22 +33,15 @@ from pkm_studies.base import InputError
 
 #: the six directions of G33's ring, in its order: degrees from x
 DIRECTIONS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}
-#: radius of the inner ring over that of the outer one
-INNER_RING = 0.1
+INNER_RING = 0.1  #: radius of the inner ring over that of the outer one
 #: places of the outer ring for a step of one direction, by P
 FINENESS = {3: 1, 4: 2, 5: 3, 6: 5, 7: 7, 8: 3, 9: 4, 10: 5}
-#: P from which on a ring has three circles
-CIRCLES_FROM = 8
-#: P without a reading in the middle
-WITHOUT_MIDDLE = (3, 6, 9)
-#: P whose sum of ten readings is divided by eight
-MISCOUNTED = 8
-#: its mean over the true one
-MISCOUNT = 10.0 / 8.0
-#: P of Marlin's example configurations
-USUAL_POINTS = 4
-#: mm; the last digit that G33 prints
-LAST_DIGIT_MM = 0.01
+CIRCLES_FROM = 8  #: P from which on a ring has three circles
+WITHOUT_MIDDLE = (3, 6, 9)  #: P without a reading in the middle
+MISCOUNTED = 8  #: P whose sum of ten readings is divided by eight
+MISCOUNT = 10.0 / 8.0  #: its mean over the true one
+USUAL_POINTS = 4  #: P of Marlin's example configurations
+LAST_DIGIT_MM = 0.01  #: mm; the last digit that G33 prints
 #: standard deviations of the delta's numbers about the firmware's, mm and deg, for a fit
 #: to fewer means than unknowns
 TOLERANCE = np.array([5.0, 2.0, 2.0, 5.0, 5.0, 5.0])
@@ -234,22 +227,18 @@ def _bed_points(places: Array, geometry: DeltaGeometry) -> Array:
 HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER}){ENDS}")
 PRINTED_RADIUS = re.compile(r"\bat radius:\s*" + f"({NUMBER})")
 BEGINS = re.compile(r"\bG33 Auto Calibrate")
-#: heights of a report of P3 and more
-ALL_HEIGHTS = 7
-#: P of a report with fewer: its places are single
-SINGLE_PLACES = 2
+ALL_HEIGHTS = 7  #: heights of a report of P3 and more
+SINGLE_PLACES = 2  #: P of a report with fewer: its places are single
 GIVE_RADIUS = "add a line probe_radius_mm = 80 to the log, or probe with G30"
 
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """Heights of one report by point, with its last line and the words of its G33.
-
-    words  None where the log does not show how G33 was asked for
-    """
+    """Heights of one report by point, with its last line and the words of its G33."""
 
     heights: dict[str, float]
     line: TextLine
+    #: None where the log does not show how G33 was asked for
     words: Mapping[str, str] | None
 
 
@@ -405,15 +394,11 @@ NO_POINTS = (
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Words of the commands that are followed, as they were at a line.
-
-    lines  where each command was last
-    last   the line, and its number among all in `at`
-    """
+    """Words of the commands that are followed, as they were at a line."""
 
     words: Mapping[str, Mapping[str, str]]
-    lines: Mapping[str, TextLine]
-    last: TextLine
+    lines: Mapping[str, TextLine]  #: where each command was last
+    last: TextLine  #: the line, and its number among all in `at`
     at: int
 
     def command(self, name: str) -> Command:
@@ -439,15 +424,12 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True)
 class Probing:
-    """Contacts with the settings in force, and sentences on what was taken.
-
-    offset  of the probe from the nozzle (2,), mm
-    """
+    """Contacts with the settings in force, and sentences on what was taken."""
 
     contacts: list[Contact]
     settings: Settings
     notes: list[str]
-    offset: tuple[float, float]
+    offset: tuple[float, float]  #: of the probe from the nozzle (2,), mm
 
 
 @dataclasses.dataclass(frozen=True)

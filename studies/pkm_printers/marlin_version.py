@@ -13,8 +13,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, Final, Literal
 
-#: what M665 B is
-RodTrim = Literal["rod trim"]
+RodTrim = Literal["rod trim"]  #: what M665 B is
 CalibrationRadius = Literal["calibration radius"]
 NotRead = Literal["not read"]
 MeaningOfB = RodTrim | CalibrationRadius | NotRead
@@ -43,39 +42,29 @@ Retreat = Literal["exact", "tenth", "steps", "dead band"]
 #: what becomes of a value of M666 above 0
 Positive = Literal["no move", "normalised", "ignored"]
 PRINTED = re.compile(r"\bMarlin[ _-]?(?:bugfix[-_ ])?(\d+\.\d+(?:\.\w+)*(?:-RC\d+)?)")
-#: steps that a planned move has at least
-MIN_STEPS = 6
-#: steps per mm of a usual printer
-STEPS_PER_MM = 80.0
+MIN_STEPS = 6  #: steps that a planned move has at least
+STEPS_PER_MM = 80.0  #: steps per mm of a usual printer
 TENTH_MM = 0.1
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, slots=True)
 class MarlinRules:
-    """What one range of versions does.
+    """What one range of versions does."""
 
-    since               its first version, as a key
-    b                   what M665 B is
-    retreat             how far carriages go down from their switches at home
-    positive            what becomes of M666 above 0
-    has_height          whether M665 has H (home height) and X, Y, Z (tower angles)
-    turns_by_z          whether M665 Z is taken off X and Y, and no angle of its own
-    probe_moves_height  whether a change of M851 Z changes M665 H
-    counts_to_probe     whether the nozzle is at M665 H less M851 Z at home
-    reads_to_bed        whether printed heights have M851 Z added
-    circles             places of G33 about a ring: radii over its radius; None where its
-                        points are not known
-    """
-
-    since: tuple[int, ...]
-    b: MeaningOfB
-    retreat: Retreat
-    positive: Positive
+    since: tuple[int, ...]  #: its first version, as a key
+    b: MeaningOfB  #: what M665 B is
+    retreat: Retreat  #: how far carriages go down from their switches at home
+    positive: Positive  #: what becomes of M666 above 0
+    #: whether M665 has H (home height) and X, Y, Z (tower angles)
     has_height: bool = True
+    #: whether M665 Z is taken off X and Y, and no angle of its own
     turns_by_z: bool = False
-    probe_moves_height: bool = False
+    probe_moves_height: bool = False  #: whether a change of M851 Z changes M665 H
+    #: whether the nozzle is at M665 H less M851 Z at home
     counts_to_probe: bool = False
-    reads_to_bed: bool = True
+    reads_to_bed: bool = True  #: whether printed heights have M851 Z added
+    #: places of G33 about a ring: radii over its radius; None where its points are not
+    #: known
     circles: tuple[float, ...] | None = None
 
 

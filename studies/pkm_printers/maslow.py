@@ -66,8 +66,7 @@ FIXED: Final = (
 FRAME_SHARE: Final = 0.25
 GROUP: Final = "Maslow"
 OLD_GROUP: Final = "Maslow, old key"
-#: mm; no anchor is farther away
-MAX_MM: Final = 1e6
+MAX_MM: Final = 1e6  #: mm; no anchor is farther away
 #: share of the larger side by which belts between rough anchors may fail to meet
 MAX_MISFIT: Final = 0.1
 LENGTHS: Final = costs("the lengths of the log have it already")

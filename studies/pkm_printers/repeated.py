@@ -19,8 +19,7 @@ from pkm_printers.bed_mesh import ProbedPoint
 from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import NUMBER, TextLine
 
-#: degrees of freedom from which on a spread is known to a third
-MIN_FREEDOM: Final = 4
+MIN_FREEDOM: Final = 4  #: degrees of freedom from which on a spread is known to a third
 #: readings of one place, line after line: what names the place, and the reading
 READINGS: Final = (
     # Klipper, each sample of a probe, and PROBE_ACCURACY
@@ -38,22 +37,16 @@ READINGS: Final = (
 SUMMARY: Final = re.compile(rf"Standard Deviation:\s*({NUMBER})", re.IGNORECASE)
 HEADING: Final = re.compile(r"M48 Z-Probe", re.IGNORECASE)
 USUAL_SAMPLES: Final = 10.0
-#: moves that end the readings of a place
-MOVES: Final = ("G0", "G1", "G28", "M48")
+MOVES: Final = ("G0", "G1", "G28", "M48")  #: moves that end the readings of a place
 
 
 @dataclasses.dataclass(frozen=True)
 class PooledSpread:
-    """A pooled spread.
+    """A pooled spread."""
 
-    sigma    standard deviation of one reading, mm
-    freedom  degrees of freedom
-    places   number of places with repeated readings
-    """
-
-    sigma: float
-    freedom: int
-    places: int
+    sigma: float  #: standard deviation of one reading, mm
+    freedom: int  #: degrees of freedom
+    places: int  #: number of places with repeated readings
 
     @property
     def is_known(self) -> bool:

@@ -34,8 +34,7 @@ FACTORS: Mapping[int, tuple[str, ...]] = {
     5: (*ENDSTOPS, "height", "radius"),
     7: (*ENDSTOPS, "height", "radius", *ANGLES),
 }
-#: largest turn of an upper arm from its switch, degrees
-MAX_ARM_TURN_DEG = 180.0
+MAX_ARM_TURN_DEG = 180.0  #: largest turn of an upper arm from its switch, degrees
 #: standard deviations of an assembled printer's numbers about those of its firmware
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).

@@ -48,22 +48,18 @@ PROBE = re.compile(
     rf"\s+Y(?P<Y>{NUMBER})"
 )
 REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
-#: machines by M669 K
-LINEAR: Final = "3"
+LINEAR: Final = "3"  #: machines by M669 K
 KINEMATICS: Final = {
     LINEAR: "linear delta",
     rrf_five_bar.KINEMATICS: "five-bar",
     rrf_rotary.KINEMATICS: "rotary delta",
 }
-#: M666 A and B are in percent
-TILT_PERCENT = 1e-2
+TILT_PERCENT = 1e-2  #: M666 A and B are in percent
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
 MESH_HEADING: Final = re.compile(r"RepRapFirmware height map file v(\d+)")
 MAX_MESH_BYTES: Final = 4_000_000
-#: mm; no place and no height is beyond it
-MAX_MESH_NUMBER: Final = 1e4
-#: mm; numbers of the grid are rounded by as much
-MESH_ROUNDING: Final = 0.02
+MAX_MESH_NUMBER: Final = 1e4  #: mm; no place and no height is beyond it
+MESH_ROUNDING: Final = 0.02  #: mm; numbers of the grid are rounded by as much
 #: names of the numbers of the grid, as versions write them
 MESH_GRIDS: Final = (
     ("xmin", "xmax", "ymin", "ymax", "radius", "spacing", "xnum", "ynum"),
@@ -74,8 +70,7 @@ MESH_GRIDS: Final = (
     ),
 )
 MESH_REMEDY: Final = "give heightmap.csv as G29 saved it"
-#: letters of axes; other ones have no place on the bed
-MESH_AXES: Final = "XY"
+MESH_AXES: Final = "XY"  #: letters of axes; other ones have no place on the bed
 NODES_NOT_PROBED: Final = "they were not probed"
 
 
@@ -132,16 +127,13 @@ importer = RrfImporter()
 
 
 class _Printer(NamedTuple):
-    """A printer as its files have it.
-
-    factors  parameters by number of factors, as the firmware fits them
-    trigger  height of the nozzle at contact, mm; 0 where it drops out
-    """
+    """A printer as its files have it."""
 
     geometry: PrinterGeometry
     controller: ControllerTable
+    #: parameters by number of factors, as the firmware fits them
     factors: Mapping[int, tuple[str, ...]]
-    trigger: float
+    trigger: float  #: height of the nozzle at contact, mm; 0 where it drops out
 
 
 def _kinematics(lines: Sequence[TextLine]) -> str:
@@ -207,8 +199,6 @@ def _controller(
 
 
 # -- replies as commands ---------------------------------------------------------------
-
-
 def _command_text(line: TextLine) -> TextLine:
     for name, pattern in REPLIES.items():
         match = pattern.search(line.text)
@@ -317,22 +307,17 @@ MIN_TYPED_HEIGHT_MM = -9999.0
 NOT_PROBED = {"set", "failed"}
 #: commands whose words change the geometry, or the place of the probe
 CHANGING = ("M665", "M666", "M558", "G31", "M851", "M92")
-#: a line of heights, and its cells
-Report = tuple[TextLine, list[str]]
+Report = tuple[TextLine, list[str]]  #: a line of heights, and its cells
 #: place of the probe from the nozzle (2,), mm; None where no G31 has it
 Offset = tuple[float, float] | None
 
 
 @dataclasses.dataclass(frozen=True)
 class ProbePoint:
-    """A point of G30 as the firmware probes it.
+    """A point of G30 as the firmware probes it."""
 
-    place   the command
-    offset  of the probe from the nozzle at that moment
-    """
-
-    place: Command
-    offset: Offset
+    place: Command  #: the command
+    offset: Offset  #: of the probe from the nozzle at that moment
 
     @property
     def is_typed(self) -> bool:

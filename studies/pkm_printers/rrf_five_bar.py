@@ -39,8 +39,7 @@ MODEL: Final = "five_bar"
 #: sides of the knees, and angles at the switches without B, deg, by M669 L
 SIDES: Final = {"1": (-1.0, -1.0), "2": (1.0, -1.0), "4": (1.0, 1.0)}
 USUAL_SWITCHES: Final = {"1": "20:10", "2": "110:20", "4": "110:100"}
-#: words of M669 that the fit leaves as they are
-KEPT: Final = "LACZST"
+KEPT: Final = "LACZST"  #: words of M669 that the fit leaves as they are
 FIVE_BAR_WORDS: Final[WordTable] = {
     **WORDS,
     **{name: {"": OF_DELTAS} for name in ("M665", "M666")},

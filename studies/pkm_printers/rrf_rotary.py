@@ -21,12 +21,9 @@ from pkm_printers.words import HARMLESS, READ, WordTable, refused, same
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 KINEMATICS: Final = "10"
-#: words of M669 that the fit leaves as they are
-KEPT: Final = "BST"
-#: M669 A that the firmware has without, degrees
-USUAL_RANGE: Final = "-45:45"
-#: mm: G31 Z that the firmware has without
-USUAL_TRIGGER: Final = 0.7
+KEPT: Final = "BST"  #: words of M669 that the fit leaves as they are
+USUAL_RANGE: Final = "-45:45"  #: M669 A that the firmware has without, degrees
+USUAL_TRIGGER: Final = 0.7  #: mm: G31 Z that the firmware has without
 OF_DELTAS: Final = refused(
     "this command is of linear deltas, which this printer is not by its M669 K",
     "remove what the printer does not have from a copy",

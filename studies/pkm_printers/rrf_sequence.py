@@ -49,18 +49,13 @@ NO_CONDITION = "write the lines that the firmware executes without it, in a copy
 
 @dataclasses.dataclass(frozen=True)
 class ExecutionOrder:
-    """Lines in the order of the firmware.
+    """Lines in the order of the firmware."""
 
-    settings  of configuration and logs
-    probing   of the files that have the probe points
-    stored    name of the file of stored values that the firmware reads; None without
-    notes     sentences on what is not read
-    """
-
-    settings: list[TextLine]
-    probing: list[TextLine]
+    settings: list[TextLine]  #: of configuration and logs
+    probing: list[TextLine]  #: of the files that have the probe points
+    #: name of the file of stored values that the firmware reads; None without
     stored: str | None
-    notes: list[str]
+    notes: list[str]  #: sentences on what is not read
 
     @property
     def lines(self) -> list[TextLine]:

@@ -17,8 +17,7 @@ from pkm_studies.base import InputError
 NUMBER = "<n>"
 #: key of a table for all words that it does not name: such a group refuses none
 OTHERS = "*"
-#: columns of a comment in a study
-COMMENT_COLUMNS = 100
+COMMENT_COLUMNS = 100  #: columns of a comment in a study
 UNKNOWN = "this importer does not know this word, which may be part of the geometry"
 UNKNOWN_REMEDY = (
     "remove it from a copy of the file where it is no part of the geometry; otherwise"
@@ -36,16 +35,13 @@ class Use(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Word:
-    """A word as an importer treats it.
-
-    about   of a word not read: what that may cost, "" for one that is no part of the
-            geometry; of a refused one: why
-    remedy  of a refused word
-    """
+    """A word as an importer treats it."""
 
     use: Use
+    #: of a word not read: what that may cost, "" for one that is no part of the
+    #: geometry; of a refused one: why
     about: str = ""
-    remedy: str = ""
+    remedy: str = ""  #: of a refused word
 
 
 READ = Word(Use.READ)
@@ -76,36 +72,24 @@ def options(names: str) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class WrittenWord:
-    """A word as a file has it.
+    """A word as a file has it."""
 
-    group  command, or section in brackets
-    key    letter, or option
-    text   as written
-    line   of the file, from 1
-    error  makes the error about it, from problem and remedy
-    """
-
-    group: str
-    key: str
-    text: str
-    line: int
+    group: str  #: command, or section in brackets
+    key: str  #: letter, or option
+    text: str  #: as written
+    line: int  #: of the file, from 1
+    #: makes the error about it, from problem and remedy
     error: Callable[[str, str], InputError]
 
 
 @dataclasses.dataclass(frozen=True)
 class WordAccount:
-    """What became of all words of the files.
+    """What became of all words of the files."""
 
-    read      keys by group
-    costly    sentences on words that are not read, with what that may cost
-    harmless  keys by group that are no part of the geometry
-    others    groups that the table lacks
-    """
-
-    read: Mapping[str, list[str]]
-    costly: list[str]
-    harmless: Mapping[str, list[str]]
-    others: list[str]
+    read: Mapping[str, list[str]]  #: keys by group
+    costly: list[str]  #: sentences on words that are not read, with what that may cost
+    harmless: Mapping[str, list[str]]  #: keys by group that are no part of the geometry
+    others: list[str]  #: groups that the table lacks
 
     def sentences(self) -> list[str]:
         """The account in words."""

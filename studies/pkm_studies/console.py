@@ -9,13 +9,11 @@ from typing import Any
 
 #: exit codes: fine; a claim not met or a fit not to be trusted; what cannot be used
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-#: the standard output in messages
-OUTPUT = "standard output"
+OUTPUT = "standard output"  #: the standard output in messages
 #: errors of writing: full disk, quota, largest file, device, closed stream
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
-#: columns of a table where there is no terminal
-DEFAULT_COLUMNS = 120
+DEFAULT_COLUMNS = 120  #: columns of a table where there is no terminal
 
 
 def set_up() -> None:

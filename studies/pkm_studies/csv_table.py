@@ -23,31 +23,24 @@ from oed.units import UNITS
 from pkm_studies import files
 from pkm_studies.base import InputError
 
-#: bytes of the largest file
-MAX_BYTES = 64_000_000
+MAX_BYTES = 64_000_000  #: bytes of the largest file
 SEPARATORS = (";", "\t", ",", "|")
 COMMENTS = ("#", "//", "%", "!")
 #: a number as machines and instruments write it: not all that Python takes for one
 PLAIN = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
-#: number of a line in its file, and its cells
-Line = tuple[int, list[str]]
+Line = tuple[int, list[str]]  #: number of a line in its file, and its cells
 
 
 @dataclasses.dataclass(frozen=True)
 class CsvTable:
-    """Cells of a CSV file.
+    """Cells of a CSV file."""
 
-    file    path, for errors
-    header  names of the columns
-    lines   numbered lines of cells, as many each as the header has
-    above   numbered lines above the header: facts of the whole file
-    """
-
-    file: str
-    header: tuple[str, ...]
-    lines: tuple[Line, ...]
+    file: str  #: path, for errors
+    header: tuple[str, ...]  #: names of the columns
+    lines: tuple[Line, ...]  #: numbered lines of cells, as many each as the header has
+    #: numbered lines above the header: facts of the whole file
     above: tuple[Line, ...] = ()
 
     def __len__(self) -> int:

@@ -28,18 +28,13 @@ from pkm_studies.study import Study
 
 # Finds the points of a drawing that each parameter moves, and names them.
 
-#: change of a parameter, SI, that shows which points it moves
-PARAMETER_STEP = 1e-4
-#: share of the largest movement from which a point takes part
-TAKES_PART = 0.5
-#: points nearer than this are one, m
-SAME_PLACE = 1e-6
+PARAMETER_STEP = 1e-4  #: change of a parameter, SI, that shows which points it moves
+TAKES_PART = 0.5  #: share of the largest movement from which a point takes part
+SAME_PLACE = 1e-6  #: points nearer than this are one, m
 #: share of the largest slope of an equation from which a parameter is in it
 MIN_SLOPE = 1e-9
-#: points that the equations of a leg join, at most
-MAX_ENDS = 2
-#: parameters of one place that are named one by one
-MAX_NAMES = 4
+MAX_ENDS = 2  #: points that the equations of a leg join, at most
+MAX_NAMES = 4  #: parameters of one place that are named one by one
 
 
 def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[DrawingLabel]:

@@ -9,10 +9,8 @@ from importlib.metadata import EntryPoint
 
 from pkm_studies.base import InputError
 
-#: how the groups of entry points begin
-GROUPS = "pkm_oed."
-#: name under which the packages of this project are installed
-PROJECT = "pkm-oed"
+GROUPS = "pkm_oed."  #: how the groups of entry points begin
+PROJECT = "pkm-oed"  #: name under which the packages of this project are installed
 
 
 def project_plugins(kind: str) -> dict[str, EntryPoint]:

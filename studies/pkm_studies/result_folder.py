@@ -16,8 +16,7 @@ from pkm_studies.base import InputError
 from pkm_studies.results import load_result, read_result
 
 RESULT = "result.json"
-#: readings of a second visit, to fill in
-VISIT = "second_visit.csv"
+VISIT = "second_visit.csv"  #: readings of a second visit, to fill in
 #: files that are written after the result
 PAGES = ("report.html", "report.pdf", "measurement_sheet.pdf")
 

@@ -34,8 +34,7 @@ from pkm_studies.tables import ClaimTable, StudyFile
 
 #: numbers of result.json that are in the `unit` which stands beside them
 IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")
-#: most characters of a measured text
-MAX_TEXT_CHARACTERS = 200
+MAX_TEXT_CHARACTERS = 200  #: most characters of a measured text
 
 
 def check_claims(
@@ -80,8 +79,6 @@ def _unit(result: Mapping[str, Any], path: str, value: object) -> str:
 
 
 # -- the value at a path ---------------------------------------------------------------
-
-
 def value_at(result: object, path: str) -> Any:
     """The value at a path. Raises LookupError that says how far the path leads."""
     tokens = [t for t in re.split(r"\.|\[(\d+)\]", path) if t]
@@ -129,8 +126,6 @@ def _table(value: object) -> Mapping[str, object]:
 
 
 # -- wanted and measured ---------------------------------------------------------------
-
-
 def _wanted(table: ClaimTable) -> str:
     parts = []
     if table.equals is not None:
@@ -200,8 +195,7 @@ def _is_met(table: ClaimTable, value: object) -> bool:
 
 #: share of the error below which an improvement is not worth a sentence
 MIN_WORTHWHILE_IMPROVEMENT = 0.02
-#: sentences on what to improve
-MAX_ADVICE = 2
+MAX_ADVICE = 2  #: sentences on what to improve
 #: improvements in words, by kind of line
 IMPROVEMENTS = {
     "prior": "half the tolerances of the machine's parameters",
@@ -210,8 +204,7 @@ IMPROVEMENTS = {
     "left out": "a file that holds the effects",
 }
 
-#: rms errors by component, in its fine unit
-Values = Mapping[str, float]
+Values = Mapping[str, float]  #: rms errors by component, in its fine unit
 
 
 def advice_on(
@@ -273,8 +266,7 @@ def error_quantities(values: Values, components: Mapping[str, str]) -> str:
 
 # Reads stored results, and refuses bad fits; loads nothing that computes or draws.
 
-#: bytes of the largest result that is read
-MAX_BYTES = 1 << 28
+MAX_BYTES = 1 << 28  #: bytes of the largest result that is read
 
 
 class BadFitError(Exception):

@@ -92,18 +92,15 @@ class NumberedSection:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Page:
-    """All text of a report.
-
-    answer     parts of the first page
-    sections   chapters; those from `appendix` on belong to the appendix
-    """
+    """All text of a report."""
 
     title: str
     question: str
     study: str
     machine: str
     foot: str
-    answer: Sequence[NumberedSection]
+    answer: Sequence[NumberedSection]  #: parts of the first page
+    #: chapters; those from `appendix` on belong to the appendix
     sections: Sequence[NumberedSection]
     appendix: int
 
@@ -328,8 +325,7 @@ def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
 
 # The report as one HTML file that loads nothing: no font, no second file.
 
-#: a command or key within a sentence
-CODE: Final = re.compile("`([^`\n]+)`")
+CODE: Final = re.compile("`([^`\n]+)`")  #: a command or key within a sentence
 #: parts of the script, in order
 SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 

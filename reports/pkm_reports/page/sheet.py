@@ -17,9 +17,8 @@ from pkm_reports.page import document
 from pkm_reports.page.document import Content, footer
 from pkm_reports.sections import adjustment_blocks
 
+
 # The page for the fitter: what to adjust, with room to write.
-
-
 def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
     """Write `adjustment.pdf` into a folder; its path. Raises ValueError, OSError."""
     section = result.adjustment
@@ -39,41 +38,31 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
     return write_own(folder / "adjustment.pdf", page)
 
 
-#: rows on the sheet; all readings are in poses.csv
-MAX_ROWS: Final = 120
+MAX_ROWS: Final = 120  #: rows on the sheet; all readings are in poses.csv
 #: parts of a table side by side, and the columns that fit beside one another
 MAX_PARTS: Final = 4
 COLUMNS_ACROSS: Final = 20
-#: rows of a part from which a table is split
-MIN_PART: Final = 6
+MIN_PART: Final = 6  #: rows of a part from which a table is split
 #: height of the tables of a page, and of a row: least and most, mm
 PAGE_HEIGHT: Final = 240.0
 MIN_ROW_HEIGHT: Final = 4.3
 MAX_ROW_HEIGHT: Final = 7.0
-#: height of the text above a stage and above a set-up, mm
-STAGE_HEIGHT: Final = 8.0
+STAGE_HEIGHT: Final = 8.0  #: height of the text above a stage and above a set-up, mm
 SETUP_HEIGHT: Final = 10.0
 MAX_RUN_CHARACTERS: Final = 12  # characters
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SheetTable:
-    """One set-up: its settings, and its readings in parts side by side.
-
-    titles     of the columns
-    writing    number of columns to write in, the last ones
-    blocks     rows of each part
-    lines      rows of the tallest part with its heading, 0 without rows
-    more       where the rows are that the sheet leaves out
-    """
+    """One set-up: its settings, and its readings in parts side by side."""
 
     setup: str
     settings: str
-    titles: Sequence[str]
-    writing: int
-    blocks: Sequence[Sequence[Sequence[str]]]
-    lines: int
-    more: str
+    titles: Sequence[str]  #: of the columns
+    writing: int  #: number of columns to write in, the last ones
+    blocks: Sequence[Sequence[Sequence[str]]]  #: rows of each part
+    lines: int  #: rows of the tallest part with its heading, 0 without rows
+    more: str  #: where the rows are that the sheet leaves out
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

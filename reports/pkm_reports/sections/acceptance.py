@@ -218,9 +218,8 @@ def _positioning(verification: VerificationSection) -> Table:
 
 CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)
 
+
 # Residuals of held-out readings, with their predictive intervals.
-
-
 def draw_residuals(sets: Sequence[HeldOutSection]) -> Figure:
     """Measured minus predicted, each with its 95 % interval as a bar around zero."""
     shown = [entry for entry in sets if entry.residuals]

@@ -82,8 +82,7 @@ def choose_layout(commands: Mapping[str, Array]) -> MapLayout:
 # Error after compensation over the workspace, as a map for each component.
 
 MAX_ROWS: Final = 3
-#: decimals to which commands are compared
-COMMAND_DECIMALS: Final = 9
+COMMAND_DECIMALS: Final = 9  #: decimals to which commands are compared
 #: share of a grid's cells from which the poses count as a grid
 MIN_GRID_SHARE: Final = 0.4
 #: factor between the errors from which colours are logarithmic
@@ -278,8 +277,7 @@ def _line_over_command(
 
 # Sources of the uncertainty that remains, as shares of each component's variance.
 
-#: percent from which a share is written into its bar
-MIN_WRITTEN_SHARE: Final = 7.0
+MIN_WRITTEN_SHARE: Final = 7.0  #: percent from which a share is written into its bar
 #: characters of all names together from which the legend has fewer columns
 MAX_LEGEND_CHARACTERS: Final = 60
 
@@ -340,10 +338,8 @@ BARS: Final[tuple[Bar, ...]] = (
     ("known", "with additional axes", style.GREEN),
 )
 REALISED: Final = "realised, virtual machine"
-#: width of a bar, components
-BAR_WIDTH = 0.25
-#: distance between the bars of a component
-BAR_STEP = 0.27
+BAR_WIDTH = 0.25  #: width of a bar, components
+BAR_STEP = 0.27  #: distance between the bars of a component
 
 
 def draw_components(prediction: PredictionSection) -> Figure:
@@ -481,8 +477,6 @@ def printed(result: StudyResult) -> list[Block]:
 
 
 # -- what the controller can correct ---------------------------------------------------
-
-
 def _introduction(prediction: PredictionSection) -> str:
     reference = text.meaning(prediction.reference, REFERENCES)
     mode = text.meaning(prediction.mode, MODES)
@@ -600,8 +594,6 @@ def _sizes(spread: SpreadRecord) -> list[str]:
 
 
 # -- virtual machine, budget, map ------------------------------------------------------
-
-
 def _realised(
     prediction: PredictionSection, realised: Mapping[str, SpreadRecord]
 ) -> Table:
@@ -764,8 +756,7 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
 
 # Blocks on the uncertainty budget: its lines, what to improve, effects outside it.
 
-#: size of a share below which it is no more than that
-MIN_SHARE: Final = 1e-3
+MIN_SHARE: Final = 1e-3  #: size of a share below which it is no more than that
 Component_ = Mapping[str, ComponentAccuracy]
 #: what each kind of line is
 LINE_KINDS: Final = {

@@ -55,9 +55,8 @@ from pkm_reports.sections.plan import (
     minutes,
 )
 
+
 # The first lines of a report: what was read or is to be, how accurate, the main doubt.
-
-
 def lead_blocks(result: StudyResult) -> list[Block]:
     """One paragraph, and the main doubt with what removes it; a bad fit before all."""
     sentences = [
@@ -343,10 +342,8 @@ def number_blocks(result: StudyResult) -> list[Block]:
 
 # What to measure: instrument, set-ups, number of readings, and a picture of them.
 
-#: set-ups and stages named one by one
-MAX_NAMED: Final = 6
-#: readings in their order
-MAX_READINGS: Final = 40
+MAX_NAMED: Final = 6  #: set-ups and stages named one by one
+MAX_READINGS: Final = 40  #: readings in their order
 #: names of files with readings to fill in; numbered where an earlier one is filled in
 POSES: Final = re.compile(r"(\w+_)?poses(-\d+)?\.csv")
 
@@ -528,8 +525,6 @@ def _working_order(result: StudyResult) -> list[Block]:
 
 
 # How long the measurement takes, and what it costs.
-
-
 def plan_minutes(result: StudyResult) -> str:
     """The time of the plan and what it holds; empty for readings that exist already."""
     plan, design = result.plan, result.design
@@ -562,8 +557,7 @@ REFERENCES: Final = {
     "home": "zeroed at the home pose",
     "best_fit": "after the best alignment of the workpiece",
 }
-#: effects that a caption names
-MAX_EFFECTS: Final = 4
+MAX_EFFECTS: Final = 4  #: effects that a caption names
 #: share of an error from which its unknown part is worth a sentence of its own
 CLEARLY_LESS: Final = 0.8
 
@@ -639,8 +633,6 @@ def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
 
 
 # -- what is wanted --------------------------------------------------------------------
-
-
 def wanted_accuracy(result: StudyResult) -> dict[str, float]:
     """Accuracy that the study asks for, by component and unit (`z_um`)."""
     accuracies: dict[str, float] = {}
@@ -796,8 +788,7 @@ def _planned_accuracy(plan: PlanSection) -> Table:
 
 # What the readings leave unknown, and what would bring it back.
 
-#: remedies of a finding that are named
-MAX_REMEDIES: Final = 4
+MAX_REMEDIES: Final = 4  #: remedies of a finding that are named
 
 
 def unknown_blocks(result: StudyResult) -> list[Block]:
@@ -833,8 +824,6 @@ def _finding(finding: IdentifiabilityFinding) -> str:
 
 
 # What could go wrong or has gone wrong, the most harmful first.
-
-
 def warnings_title(result: StudyResult) -> str:
     """The question that the part answers."""
     if trust.objections(result):
@@ -843,14 +832,10 @@ def warnings_title(result: StudyResult) -> str:
 
 
 class Doubt(NamedTuple):
-    """What spoils the figures most.
+    """What spoils the figures most."""
 
-    words     as the first lines of the report have it; empty where there is none
-    warning   the warning that it states; empty where it is none of them
-    """
-
-    words: str
-    warning: str = ""
+    words: str  #: as the first lines of the report have it; empty where there is none
+    warning: str = ""  #: the warning that it states; empty where it is none of them
 
 
 def warning_blocks(result: StudyResult) -> list[Block]:
@@ -1008,28 +993,19 @@ def answer_parts(result: StudyResult) -> list[Section]:
 
 # What a terminal shows of a report: its first lines, and one accuracy a component.
 
-#: sentences of a diagnosis, the verdict among them
-MAX_FINDINGS: Final = 3
+MAX_FINDINGS: Final = 3  #: sentences of a diagnosis, the verdict among them
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class FirstLines:
-    """The first page in a few lines.
+    """The first page in a few lines."""
 
-    sentences    what was read or is to be, how accurate, the main doubt
-    table        of the accuracy; None without a prediction
-    findings     of a diagnosis: how large the causes are, and where
-    actions      what to do next
-    warnings     those beside the main doubt
-    is_plan      whether readings are to be taken, not evaluated
-    """
-
-    sentences: list[str]
-    table: Table | None
-    findings: list[str]
-    actions: list[str]
-    warnings: list[str]
-    is_plan: bool
+    sentences: list[str]  #: what was read or is to be, how accurate, the main doubt
+    table: Table | None  #: of the accuracy; None without a prediction
+    findings: list[str]  #: of a diagnosis: how large the causes are, and where
+    actions: list[str]  #: what to do next
+    warnings: list[str]  #: those beside the main doubt
+    is_plan: bool  #: whether readings are to be taken, not evaluated
 
 
 def first_lines(result: StudyResult) -> FirstLines:

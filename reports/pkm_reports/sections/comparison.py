@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 # What differs between results, in sentences and in one table.
 
 Results = Mapping[str, StudyResult]
-#: ratio from which two accuracies or times differ
-MIN_DIFFERENCE_RATIO: Final = 1.02
+MIN_DIFFERENCE_RATIO: Final = 1.02  #: ratio from which two accuracies or times differ
 
 
 def sentences(results: Results) -> list[Block]:
@@ -244,8 +243,6 @@ def _side_panel(axes: Axes, group: Mapping[str, Sizes], names: Sequence[str]) ->
 
 
 # Predicted accuracy of several results, component by component.
-
-
 def accuracy_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     """A table with what is wanted beside it, and bars."""
     sizes = rms_by_component(results)
@@ -346,8 +343,6 @@ def _parameter_row(name: str, estimates: list[Estimates]) -> list[str]:
 
 
 # Diagnoses of several results side by side.
-
-
 def cause_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     """The likeliest explanation of each result, with the residual before and after."""
     diagnoses = {n: r.gap for n, r in results.items() if r.gap is not None}
@@ -377,8 +372,6 @@ def _rms(gap: GapSection, rms: Mapping[str, float]) -> str:
 
 
 # The plans of several results: where their readings lie, and how they score.
-
-
 def plan_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     """A picture of each plan, and a table of their scores."""
     content: list[Block] = []

@@ -145,8 +145,7 @@ CHAPTER: Final = Chapter("corrected", "Corrected model", blocks)
 
 # Chapter: what to adjust at the machine, and the page for the fitter.
 
-#: columns of the fitter's page to write in
-TO_FILL_IN: Final = ("Done", "Measured")
+TO_FILL_IN: Final = ("Done", "Measured")  #: columns of the fitter's page to write in
 NOTHING: Final = (
     "No adjustment is worth its work: software corrects what the adjustments would."
 )

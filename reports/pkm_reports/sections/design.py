@@ -158,8 +158,6 @@ def _ticks(sizes: Array) -> Sequence[float]:
 
 
 # Chapter: how good the plan is: its certificate, and comparisons with other plans.
-
-
 def blocks(result: StudyResult) -> list[Block]:
     """Certificate, polishing, reference plans, criteria, effects, scenarios, number of readings."""
     design = result.design
@@ -178,9 +176,8 @@ def blocks(result: StudyResult) -> list[Block]:
 
 CHAPTER: Final = Chapter("design", "How good the plan is", blocks)
 
+
 # -- poses and set-ups polished off the grid -------------------------------------------
-
-
 def _polish(design: DesignSection) -> list[Block]:
     """Criterion before and after, and the set-ups that moved."""
     polish = design.polished
@@ -209,8 +206,6 @@ def _polish(design: DesignSection) -> list[Block]:
 
 
 # -- the plan that allows for effects, beside one for a machine without ----------------
-
-
 def _effects(design: DesignSection) -> list[Block]:
     """A sentence, and the accuracy of both plans."""
     allowed = design.effects
@@ -258,7 +253,6 @@ def _sizes(factor: float) -> str:
 
 
 # -- the robust plan over many machines and set-ups ------------------------------------
-
 RISKS: Final = {"mean": "the mean over all", "worst": "the worst"}
 
 
@@ -307,8 +301,6 @@ def _robust_caption(summary: RobustSummary) -> str:
 
 
 # -- how many readings a wanted accuracy needs -----------------------------------------
-
-
 def _how_many(design: DesignSection) -> list[Block]:
     """A sentence, and accuracy over the number of readings."""
     summary = design.how_many
@@ -369,8 +361,7 @@ def _how_many_caption(summary: HowManySummary) -> str:
 
 # The certificate of the chosen readings: in words, in numbers, and refusals.
 
-#: duality gap that is written as none
-NO_GAP: Final = 1e-9
+NO_GAP: Final = 1e-9  #: duality gap that is written as none
 
 
 def certificate_blocks(design: DesignSection) -> list[Block]:
@@ -692,8 +683,6 @@ def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) ->
 
 
 # Plans for several criteria: what the plan for one is worth by the others.
-
-
 def _values(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:
     columns = [TableColumn("By"), *_plan_columns(names)]
     rows = [[entry.name, *_value_row(entry, names)] for entry in compared]
@@ -818,8 +807,6 @@ def plan_blocks(design: DesignSection) -> list[Block]:
 
 
 # The chosen plan against reference plans: by the criterion, and by accuracy.
-
-
 def is_chosen(plan: PlanScore, design: DesignSection) -> bool:
     """Whether a plan is the chosen one, by its name or by all its numbers."""
     if plan.name == "chosen":
@@ -833,8 +820,6 @@ def _marks(design: DesignSection) -> list[str]:
 
 
 # -- by the criterion ------------------------------------------------------------------
-
-
 def _scores(design: DesignSection) -> Table:
     plans = design.plans
     criterion = plans[0].criterion
@@ -887,8 +872,6 @@ def _scores_caption(design: DesignSection) -> str:
 
 
 # -- by predicted accuracy -------------------------------------------------------------
-
-
 def _figure_caption(plans: Sequence[PlanScore]) -> str:
     """What the chosen plan leaves of each component."""
     sentences = [

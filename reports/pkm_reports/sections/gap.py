@@ -47,18 +47,15 @@ if TYPE_CHECKING:
 # Circles as a ball bar shows them: residuals magnified about the circle.
 
 MAX_CIRCLES: Final = 3
-#: largest residual as a share of the drawn radius
-SWING = 0.45
-#: outer radius over the drawn one
-OUTER = 1.6
+SWING = 0.45  #: largest residual as a share of the drawn radius
+OUTER = 1.6  #: outer radius over the drawn one
 #: label, line and colour of a direction of travel
 DIRECTIONS: Final = {1: ("forward", "-", style.BLUE), -1: ("backward", "--", style.RED)}
 NO_DIRECTION: Final = ("direction unknown", "-", style.GREY)
 QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
 #: set-up, name without its pass, channel, payload (N) of a circle
 CircleKey = tuple[str, str, str, float | None]
-#: before or after the effects are in the model
-When = Literal["before", "after"]
+When = Literal["before", "after"]  #: before or after the effects are in the model
 
 
 def draw_circles(traces: Sequence[Trace]) -> Figure:
@@ -172,15 +169,13 @@ def _round_size(largest: float) -> float:
 
 # Residuals over the workspace, before and after the effects are in the model.
 
-#: two axes of the base frame to look along: across and up
-View = tuple[int, int]
+View = tuple[int, int]  #: two axes of the base frame to look along: across and up
 #: extent of an axis, as a share of the largest, from which it has a view of its own
 MIN_EXTENT: Final = 0.05
 AXES: Final = ("x", "y", "z")
 #: inches of a row: for a square view, and limits
 ROW_HEIGHT, MIN_ROW, MAX_ROW = 2.5, 1.2, 2.6
-#: quantile of the residuals that ends the colour scale
-TOP_QUANTILE: Final = 0.98
+TOP_QUANTILE: Final = 0.98  #: quantile of the residuals that ends the colour scale
 
 
 def draw_map(spots: Sequence[Spot], unit: str) -> Figure:
@@ -264,8 +259,6 @@ def _panel(
 
 
 # Chapter: the gap between model and machine: its causes, its places, its remedy.
-
-
 def blocks(result: StudyResult) -> list[Block]:
     """Findings, remedy, causes, places, closure, residuals, what remains open."""
     gap = result.gap
@@ -299,10 +292,8 @@ def _causes(gap: GapSection) -> Picture:
 CHAPTER: Final = Chapter("gap", "Diagnosis: causes, location, remedy", blocks, printed)
 
 # -- where the gap lies: legs, set-ups, runs, times, directions ------------------------
-
 MAX_PLACES: Final = 8
-#: probability of an even share below which a place stands out
-P_VALUE: Final = 0.05
+P_VALUE: Final = 0.05  #: probability of an even share below which a place stands out
 
 
 def _places(gap: GapSection) -> list[Block]:
@@ -341,12 +332,10 @@ def _name(block: str) -> str:
 
 
 # -- how far the gap closes on held-out readings ---------------------------------------
-
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: share beyond which an end of an interval is not written in figures
 MAX_SHARE: Final = 1.0
-#: a gap of which no more than the noise is left
-ALL: Final = "all of it"
+ALL: Final = "all of it"  #: a gap of which no more than the noise is left
 #: share from which percent are rounded down, never up to the whole
 NEARLY_WHOLE: Final = 0.99
 
@@ -421,8 +410,6 @@ def _share(value: float | None) -> str:
 
 
 # -- residuals as figures --------------------------------------------------------------
-
-
 def _pictures(gap: GapSection) -> list[Block]:
     """Traces, circles where there are any, map."""
     traces, spots = gap.traces, gap.spots
@@ -491,8 +478,6 @@ def _map_caption(gap: GapSection) -> str:
 
 
 # -- effects that look alike, effects that were not tested -----------------------------
-
-
 def _open_questions(gap: GapSection) -> list[Block]:
     """Groups of effects that cannot be distinguished, then untested effects."""
     groups = [_group(gap, names) for names in gap.confusable if len(names) > 1]
@@ -531,7 +516,6 @@ def _untested(gap: GapSection) -> list[Block]:
 
 
 # -- coefficients against the sizes expected of them -----------------------------------
-
 MAX_COEFFICIENTS: Final = 12
 
 

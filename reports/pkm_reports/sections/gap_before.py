@@ -38,10 +38,8 @@ if TYPE_CHECKING:
 
 # Which effects can be distinguished from which others: a matrix of sqrt(lambda).
 
-#: sqrt(lambda) below which two effects are not distinguished
-LIMIT = 5.0
-#: sqrt(lambda) above which they clearly are
-CLEAR = 10.0
+LIMIT = 5.0  #: sqrt(lambda) below which two effects are not distinguished
+CLEAR = 10.0  #: sqrt(lambda) above which they clearly are
 #: colours and legend of: not distinguished, barely, clearly
 COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
 MEANINGS: Final = (
@@ -49,12 +47,9 @@ MEANINGS: Final = (
     f"{LIMIT:g} to {CLEAR:g}: barely",
     f"above {CLEAR:g}: distinguished",
 )
-#: inches of one cell, at most
-MAX_CELL = 0.42
-#: inches of a cell from which its number has normal size
-SMALL_CELL = 0.34
-#: size from which a number has no decimal
-MIN_WHOLE_NUMBER: Final = 9.95
+MAX_CELL = 0.42  #: inches of one cell, at most
+SMALL_CELL = 0.34  #: inches of a cell from which its number has normal size
+MIN_WHOLE_NUMBER: Final = 9.95  #: size from which a number has no decimal
 
 
 def draw_confusable(table: DetectabilityTable) -> Figure:
@@ -127,8 +122,7 @@ def _set_labels(axes: Axes, names: Sequence[str]) -> None:
 
 # Chapter: what planned readings could detect, and runs that tell effects apart.
 
-#: rows of the table of imitated combinations
-MAX_IMITATION_ROWS: Final = 16
+MAX_IMITATION_ROWS: Final = 16  #: rows of the table of imitated combinations
 #: weight of the detectability in the order of these rows, where separations are equal
 TIE_BREAK: Final = 1e-3
 
@@ -355,9 +349,8 @@ CHAPTER: Final = Chapter(
     "gap-before", "What these readings could detect", blocks, printed
 )
 
+
 # Chapter: a second visit, and what its readings are expected to decide.
-
-
 def visit_blocks(result: StudyResult) -> list[Block]:
     """What the visit is worth, and its runs; nothing where the diagnosis is sure."""
     visit = None if result.gap is None else result.gap.second_visit

@@ -22,10 +22,8 @@ MAX_TRACES: Final = 9
 MAX_COLUMNS: Final = 3
 #: readings of a run up to which each has a mark of full size
 FULL_SIZE_MAX_READINGS: Final = 60
-#: quantile of the residuals that a figure shows
-QUANTILE = 0.98
-#: factor above it that counts as an outlier
-FAR = 3.0
+QUANTILE = 0.98  #: quantile of the residuals that a figure shows
+FAR = 3.0  #: factor above it that counts as an outlier
 #: channels that set-ups have alone, so that a title need not name them
 SINGLE_CHANNELS: Final = ("length", "height")
 AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 # Singular values of the scaled identification matrix, and the tolerance of the rank.
-
-
 def draw_singular_values(section: IdentifiabilitySection) -> Figure:
     """Filled marks for determined directions, hollow ones for lost directions."""
     values = missing.array(section.singular_values)

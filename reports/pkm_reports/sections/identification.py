@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 
-#: runs that the table shows
-MAX_RUNS: Final = 8
+MAX_RUNS: Final = 8  #: runs that the table shows
 #: probability below which a sum of squares is not what the noise predicts
 MIN_P_VALUE: Final = 0.01
 MEANING: Final = {
@@ -171,8 +170,7 @@ def _left_out_row(record: NoiseRecord) -> list[str]:
 
 # Residuals of all readings, before and after the fit.
 
-#: readings from which marks are small
-MANY_READINGS: Final = 60
+MANY_READINGS: Final = 60  #: readings from which marks are small
 
 
 def draw_residuals(estimate: EstimateSection) -> Figure:
@@ -224,8 +222,7 @@ TYPE_MEANINGS: Final = {
     "weak": "weakly determined",
     "prior": "tolerance only",
 }
-#: half-width of a 95 % interval, in standard deviations
-HALF_WIDTH_95: Final = 1.96
+HALF_WIDTH_95: Final = 1.96  #: half-width of a 95 % interval, in standard deviations
 
 
 def draw_parameters(parameters: Mapping[str, ParameterEstimate]) -> Figure:
@@ -285,8 +282,7 @@ def _set_axes(
 
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
-#: terms of a combination that are written
-MAX_TERMS: Final = 5
+MAX_TERMS: Final = 5  #: terms of a combination that are written
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -480,10 +476,8 @@ CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)
 
 # Readings along circles and lines: measured, predicted with interval, compensated.
 
-#: runs that are drawn
-MAX_CURVES: Final = 4
-#: readings of a run up to which marks are of full size
-MAX_LARGE: Final = 60
+MAX_CURVES: Final = 4  #: runs that are drawn
+MAX_LARGE: Final = 60  #: readings of a run up to which marks are of full size
 AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}
 INTERVAL: Final = "95 % interval"
 

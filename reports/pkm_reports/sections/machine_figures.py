@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 # 3-D axes with one scale on all axes, fitted to a rectangle of the figure.
 
-#: lower and upper corner (3,) of what is shown, mm
-Box = tuple[Array, Array]
+Box = tuple[Array, Array]  #: lower and upper corner (3,) of what is shown, mm
 #: left, bottom, right and top of a rectangle, as shares of the figure
 Rectangle = tuple[float, float, float, float]
 VIEW: Final[dict[str, float]] = {"elev": 20.0, "azim": -58.0}
@@ -33,10 +32,8 @@ VIEW: Final[dict[str, float]] = {"elev": 20.0, "azim": -58.0}
 AZIMUTHS: Final[tuple[float, ...]] = (-58.0, *map(float, range(-85, -4, 5)))
 #: width and height of a label, relative to one another
 LETTERING: Final = np.array([3.0, 1.0])
-#: least depth of a box, as a share of its largest side
-MIN_DEPTH = 0.3
-#: size of the drawing over that of the box
-MARGIN = 1.06
+MIN_DEPTH = 0.3  #: least depth of a box, as a share of its largest side
+MARGIN = 1.06  #: size of the drawing over that of the box
 #: share of the largest side below which an axis has few ticks
 SHORT_AXIS_SHARE: Final = 0.6
 #: letters do not scale with the box, so fitting takes more than one step
@@ -140,30 +137,23 @@ LINES: Final = {
     "reading": {"color": style.GREY, "lw": 0.6},
     "cup": {"color": style.GREY, "lw": 1.0},
 }
-#: set-ups named in the legend
-MAX_NAMES: Final = 8
+MAX_NAMES: Final = 8  #: set-ups named in the legend
 #: readings of a set-up that are drawn, about: more hide each other
 MAX_DRAWN: Final = 400
-#: steps of a line that is cut at the box
-LINE_STEPS: Final = 60
+LINE_STEPS: Final = 60  #: steps of a line that is cut at the box
 PANEL_HEIGHT, LEGEND_LINE = 3.55, 0.18  # inches
 LEGEND_CHARACTERS, MARKER_CHARACTERS = 100, 7
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Scene:
-    """What is drawn, mm.
+    """What is drawn, mm."""
 
-    lines     kind and points (n, 3) of each polyline
-    tips      tool points (n, 3)
-    bars      the reading's far end and the tool point, (2, 3) each; (0, 3) without
-    setups    set-up of each tool point
-    """
-
-    lines: Sequence[tuple[str, Array]]
-    tips: Array
+    lines: Sequence[tuple[str, Array]]  #: kind and points (n, 3) of each polyline
+    tips: Array  #: tool points (n, 3)
+    #: the reading's far end and the tool point, (2, 3) each; (0, 3) without
     bars: Sequence[Array]
-    setups: Sequence[str]
+    setups: Sequence[str]  #: set-up of each tool point
 
     def whole_box(self) -> Box:
         """A box around everything."""
@@ -321,12 +311,10 @@ def legend_entries(shown: Scene) -> list[Line2D]:
     return entries
 
 
-#: inches: readable at the width of a telephone
-WIDTH, HEIGHT = 3.4, 3.0
+WIDTH, HEIGHT = 3.4, 3.0  #: inches: readable at the width of a telephone
 # The machine at home with all readings, small, for the first page.
 
-#: legend entries side by side
-LEGEND_COLUMNS: Final = 2
+LEGEND_COLUMNS: Final = 2  #: legend entries side by side
 
 
 def draw_overview(drawing: Drawing) -> Figure:
@@ -344,13 +332,11 @@ def draw_overview(drawing: Drawing) -> Figure:
 
 # A machine at its guess, and where its closure is met best: what keeps it open.
 
-#: inches
-CLOSURE_WIDTH: Final = 9.0
+CLOSURE_WIDTH: Final = 9.0  #: inches
 MIN_HEIGHT, ROW, HEAD = 4.4, 0.34, 1.4
 #: share of the drawing's size that an axis of a frame is long
 FRAME_AXIS_SHARE: Final = 0.12
-#: an amount, m or rad, up to which bars show nothing
-MIN_BAR_AMOUNT: Final = 1e-6
+MIN_BAR_AMOUNT: Final = 1e-6  #: an amount, m or rad, up to which bars show nothing
 #: the drawing and the bars, as shares of the figure: left, bottom, right, top
 DRAWING: Final = (0.02, 0.09, 0.62, 0.92)
 BARS: Final = (0.72, 0.16, 0.24, 0.70)

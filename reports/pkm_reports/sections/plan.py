@@ -41,9 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 # Times, budgets and goals of a plan in words.
-
-
 def has_schedule(plan: PlanSection | None) -> bool:
     """Whether a plan has times of its stages."""
     return plan is not None and any(s.begin_min is not None for s in plan.stages)
@@ -84,40 +83,30 @@ OFFSETS: Final = np.array(
     [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, 1], [1, -1], [-1, -1]],
     dtype=float,
 )
-#: numbers of readings written at one place
-MAX_NUMBERS: Final = 3
+MAX_NUMBERS: Final = 3  #: numbers of readings written at one place
 LETTER_SIZE: Final = 5.5  # points
-#: half-width of a label's frame, in letter sizes
-FRAME = 0.45
-#: half-width of each letter of a label, in letter sizes
-LETTER = 0.33
+FRAME = 0.45  #: half-width of a label's frame, in letter sizes
+LETTER = 0.33  #: half-width of each letter of a label, in letter sizes
 HALF_HEIGHT: Final = 0.8
 #: distance of a label from its place, in half-widths and half-heights
 LABEL_DISTANCE: Final = 2.2
 POINTS_PER_INCH: Final = 72.0
-#: a full turn, degrees
-FULL_TURN: Final = 360.0
+FULL_TURN: Final = 360.0  #: a full turn, degrees
 MAX_PANELS: Final = 12
-#: readings from which the lines of the path are faint
-MANY_POSES: Final = 100
+MANY_POSES: Final = 100  #: readings from which the lines of the path are faint
 #: what counts as one step of a coordinate, by its SI unit
 STEP_IN_UNIT: Final = {"m": "mm", "rad": "deg"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Plane:
-    """The two coordinates that the figure shows.
+    """The two coordinates that the figure shows."""
 
-    names     of the coordinates; "reading" is the number of the reading
-    at        place of each reading (n, 2)
-    turn      full turn (2,) of coordinates that go round, infinite for others
-    limits    lower and upper limit (2, 2)
-    """
-
+    #: of the coordinates; "reading" is the number of the reading
     names: tuple[str, str]
-    at: Array
-    turn: Array
-    limits: Array
+    at: Array  #: place of each reading (n, 2)
+    turn: Array  #: full turn (2,) of coordinates that go round, infinite for others
+    limits: Array  #: lower and upper limit (2, 2)
 
 
 def draw_path(poses: Sequence[PlannedReading]) -> Figure:
@@ -497,8 +486,6 @@ def _readings_caption(poses: Sequence[PlannedReading]) -> str:
 
 
 # -- stages without a schedule ---------------------------------------------------------
-
-
 def _stages(plan: PlanSection) -> list[Block]:
     considered = [entry for entry in plan.alternatives if isinstance(entry, str)]
     alternatives = headed_list("Alternatives considered:", text.sentences(considered))

@@ -32,18 +32,13 @@ if TYPE_CHECKING:
 Limits = tuple[float, float]
 MAX_CORNER_PARAMETERS: Final = 6
 MAX_LABEL_LENGTH: Final = 18
-#: inches to the left of all panels, for their labels
-LABEL_WIDTH: Final = 0.55
-#: inches below all panels, for labels and unit
-LABEL_HEIGHT: Final = 0.56
-#: inches beside and above all panels, half a label of a tick
-MARGIN: Final = 0.07
-#: gap between panels, as a share of their size
-GAP: Final = 0.13
+LABEL_WIDTH: Final = 0.55  #: inches to the left of all panels, for their labels
+LABEL_HEIGHT: Final = 0.56  #: inches below all panels, for labels and unit
+MARGIN: Final = 0.07  #: inches beside and above all panels, half a label of a tick
+GAP: Final = 0.13  #: gap between panels, as a share of their size
 #: sd below which a marginal is shown from close by, without the prior
 CLOSE_VIEW_MAX_RATIO: Final = 0.3
-#: prior standard deviations that hold the prior
-PRIOR_RANGE: Final = 3.2
+PRIOR_RANGE: Final = 3.2  #: prior standard deviations that hold the prior
 
 
 def draw_corner(posterior: PosteriorSection) -> Figure:
@@ -147,8 +142,7 @@ MAX_INFORMED_RATIO: Final = 0.7
 #: standard errors of mean, sd, and both quantiles of a normal marginal, over its sd and
 #: times the root of the effective sample size
 ERRORS: Final = (1.0, 0.5**0.5, 2.67, 2.67)
-#: relative error of an effective sample size
-ESS_RELATIVE_ERROR: Final = 0.05
+ESS_RELATIVE_ERROR: Final = 0.05  #: relative error of an effective sample size
 COMPARED: Final = {
     "rms": "Root mean square",
     "largest": "Largest",

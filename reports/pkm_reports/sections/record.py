@@ -7,8 +7,7 @@ from oed.text import shorten
 from pkm_reports import text
 from pkm_reports.blocks import Block, Chapter, Code, Paragraph, Table, TableColumn
 
-#: characters of a measured value
-MAX_VALUE_CHARACTERS: Final = 70
+MAX_VALUE_CHARACTERS: Final = 70  #: characters of a measured value
 
 
 def _claims(result: StudyResult) -> list[Block]:

@@ -51,16 +51,14 @@ if TYPE_CHECKING:
 
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
-#: parameters named for each stage, those that improve most
-MAX_PARAMETERS: Final = 4
+MAX_PARAMETERS: Final = 4  #: parameters named for each stage, those that improve most
 #: parameters and combinations named that are not yet determined
 MAX_UNDETERMINED: Final = 8
 #: factor below which a standard deviation counts as unchanged by a stage
 MIN_FACTOR: Final = 1.05
 #: characters of a combination of parameters; longer ones are cut
 MAX_TERMS_LENGTH: Final = 56
-#: expected losses that are written as none
-NO_LOSS: Final = 0.005
+NO_LOSS: Final = 0.005  #: expected losses that are written as none
 
 
 def schedule(plan: PlanSection) -> Table:
@@ -240,8 +238,6 @@ def accuracy_table(plan: PlanSection) -> Table:
 
 
 # Whether the plan reaches its goal, how close to the best it is, when to stop.
-
-
 def verdict_blocks(plan: PlanSection) -> list[Block]:
     """What is known before, the verdict, what would improve it, the bound, the stop."""
     content: list[Block] = []
@@ -309,8 +305,6 @@ def loss_bound(loss: float) -> str:
 
 
 # Accuracies and measurements of a plan in words.
-
-
 def accuracies(table: Mapping[str, float], only: Iterable[str] | None = None) -> str:
     """z 30.0 µm and theta 2.00 arcsec; of all components, or of some (`only`)."""
     parts = []
@@ -337,8 +331,6 @@ def cells(table: Mapping[str, float], keys: Iterable[str]) -> list[str]:
 
 
 # Chapter: which measurement at which stage, and why this plan.
-
-
 def blocks(result: StudyResult) -> list[Block]:
     """Verdict, stages, accuracy and time, alternatives, sequences of the study."""
     plan = result.plan
@@ -375,9 +367,8 @@ def _pictures(plan: PlanSection) -> list[Block]:
 
 CHAPTER: Final = Chapter("stages", "Which measurement at which stage", blocks, printed)
 
+
 # -- the plan that allows for effects, beside one for a machine without ----------------
-
-
 def _effects(plan: PlanSection) -> list[Block]:
     """A sentence, and the accuracy that each plan promises and reaches."""
     allowed = plan.effects
@@ -409,8 +400,6 @@ def _effects(plan: PlanSection) -> list[Block]:
 
 
 # -- what virtual machines achieved ----------------------------------------------------
-
-
 def _virtual_machines(plan: PlanSection) -> list[Block]:
     """Their errors, intervals and lost candidates against the predicted ones."""
     stages = plan.stages
@@ -447,8 +436,6 @@ def _range(shares: Sequence[float]) -> str:
 
 
 # -- plans that were considered and not taken ------------------------------------------
-
-
 def _alternatives(plan: PlanSection) -> list[Block]:
     described = [entry for entry in plan.alternatives if isinstance(entry, str)]
     sentences = headed_list("Alternatives considered:", text.sentences(described))
@@ -482,8 +469,7 @@ def _alternatives(plan: PlanSection) -> list[Block]:
     return [Table(columns, rows, caption), *sentences]
 
 
-#: minutes below which no time is said to remain
-NO_TIME: float = 0.5
+NO_TIME: float = 0.5  #: minutes below which no time is said to remain
 
 
 def _accuracy_caption(plan: PlanSection) -> str:
@@ -556,8 +542,6 @@ def _front_caption(plan: PlanSection) -> str:
 
 
 # -- sequences that the study asks for -------------------------------------------------
-
-
 def sequences(plan: PlanSection) -> list[Block]:
     """What the sequences determine, how they compare, and what follows from it."""
     compared = plan.compared
@@ -778,8 +762,7 @@ def _bar(axes: Axes, k: int, stage: StageRecord, right: float) -> None:
         axes.text(begin, k, f" {phrase}", ha="left", **letters)
 
 
-#: sequences shown by name; more are in the table only
-MAX_PARETO_PLANS: Final = 6
+MAX_PARETO_PLANS: Final = 6  #: sequences shown by name; more are in the table only
 #: a range of minutes wider than this factor is drawn on a log scale
 LOG_RANGE: Final = 30.0
 GOAL_LABEL: Final = "error of the worst component\nover its wanted accuracy"
@@ -884,8 +867,6 @@ def _draw_sequences(axes: Axes, plan: PlanSection) -> None:
 
 
 # Table of what else to record: what each covariate or choice is worth to a plan.
-
-
 def recording_blocks(recording: RecordingSection | None) -> list[Block]:
     """A sentence and the table; nothing where no effect depends on a covariate."""
     if recording is None or not recording.choices:

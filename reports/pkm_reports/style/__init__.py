@@ -32,14 +32,11 @@ SHADE: Final = "#eef1f4"
 CYCLE: Final = (BLUE, ORANGE, GREEN, RED, SKY, PINK, BROWN, GREY)
 #: look of what virtual machines reached, a diamond
 DIAMOND: Final[dict[str, Any]] = {"color": ORANGE, "mec": INK, "mew": 0.6, "ms": 5}
-#: colours too light for white letters
-PALE: Final = (ORANGE, SKY, PINK)
+PALE: Final = (ORANGE, SKY, PINK)  #: colours too light for white letters
 MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X", "h")
-#: colour map of amounts, light for little and dark for much
-AMOUNT: Final = "YlGnBu"
+AMOUNT: Final = "YlGnBu"  #: colour map of amounts, light for little and dark for much
 
-#: above this many bytes a figure is stored as pixels
-MAX_SVG: Final = 300_000
+MAX_SVG: Final = 300_000  #: above this many bytes a figure is stored as pixels
 PIXELS_PER_INCH: Final = 180
 #: characters of all legend entries that fit side by side, and those of a marker
 LEGEND_CHARACTERS: Final = 110
@@ -88,9 +85,8 @@ RC: Final[dict[str, Any]] = {
     "ytick.major.width": 0.7,
 }
 
+
 # -- figures and images ----------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class Image:
     """A rendered figure.
@@ -160,8 +156,6 @@ def _saved(drawn: Figure, kind: str, metadata: Mapping[str, None]) -> bytes:
 
 
 # -- labels, markers, colours ----------------------------------------------------------
-
-
 @cache
 def _glyphs() -> frozenset[int]:
     from matplotlib import font_manager, ft2font

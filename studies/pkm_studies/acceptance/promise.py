@@ -25,21 +25,16 @@ from pkm_studies.study import Study
 UNCERTAINTY_SHARE = 0.2
 #: poses between those of the workspace that may be measured, at most
 MAX_POSES_BETWEEN = 200
-#: channel that reads a component of the pose
-READ = "read_{}"
+READ = "read_{}"  #: channel that reads a component of the pose
 
 
 @dataclasses.dataclass(frozen=True)
 class FurtherPromise:
-    """What additional axes promise of k components that no drive corrects, SI.
+    """What additional axes promise of k components that no drive corrects, SI."""
 
-    promise     with the axes
-    components  (k,)
-    known       (m, k) errors without the axes that are known in advance, at the commands
-    """
-
-    promise: Promise
-    components: tuple[Component, ...]
+    promise: Promise  #: with the axes
+    components: tuple[Component, ...]  #: (k,)
+    #: (m, k) errors without the axes that are known in advance, at the commands
     known: Array
 
     @property

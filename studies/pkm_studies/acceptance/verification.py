@@ -49,16 +49,11 @@ CONTRADICTION_P_VALUE = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class RunCheck:
-    """Readings of the compensated machine against their prediction.
+    """Readings of the compensated machine against their prediction."""
 
-    curves       along circles and lines
-    readings     number of values
-    p_high       probability of a larger chi2
-    """
-
-    curves: list[RunCurve]
-    readings: int
-    p_high: float
+    curves: list[RunCurve]  #: along circles and lines
+    readings: int  #: number of values
+    p_high: float  #: probability of a larger chi2
 
     @property
     def passed(self) -> bool:
@@ -199,8 +194,7 @@ def check_sentences(check: RunCheck) -> Iterator[str]:
 
 #: share of the range of a coordinate by which a pose differs from a calibration pose
 MIN_RANGE_SHARE = 0.02
-#: column of an error to fill in, by component and unit
-ERROR = "error_{}_{}"
+ERROR = "error_{}_{}"  #: column of an error to fill in, by component and unit
 #: column that says whether additional axes took the known errors back: 1, or 0 or empty
 AXES = "further_axes"
 
@@ -438,8 +432,6 @@ def _targets(section: AcceptanceSection, table: CsvTable) -> Index:
 
 
 # What a plan said that a healthy machine of its kind reaches, beside the measured error.
-
-
 def healthy_accuracy(
     result: StudyResult, plan: Path | None, demands: Mapping[str, PromiseRecord]
 ) -> dict[str, float]:

@@ -16,12 +16,9 @@ from oed.text import shorten
 # Fields are dotted paths as in the file; entries of lists count from 1
 # (`setup[2].length_mm`).
 
-#: characters of a value, at most
-VALUE = 60
-#: of a problem
-PROBLEM = 220
-#: of a remedy
-REMEDY = 240
+VALUE = 60  #: characters of a value, at most
+PROBLEM = 220  #: of a problem
+REMEDY = 240  #: of a remedy
 _MISSING: Final = object()
 
 

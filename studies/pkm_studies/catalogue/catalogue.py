@@ -27,8 +27,7 @@ from pkm_studies.base import Location
 from pkm_studies.plugins import GROUPS, plugins, project_plugins
 from pkm_studies.user_code import Origin
 
-#: characters of an error that are shown
-MAX_REASON_LENGTH = 120
+MAX_REASON_LENGTH = 120  #: characters of an error that are shown
 
 KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: packages with the shipped ones of a kind, and attribute that may be left out, where

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from oed.mechanism import Kinematics
     from pkm_studies.tables import ControllerTable
 
-#: characters of a comment, which holds text of results
-MAX_COMMENT_LENGTH = 1000
+MAX_COMMENT_LENGTH = 1000  #: characters of a comment, which holds text of results
 #: texts of an export by the end of their file names, such as `.cfg`
 Texts = Mapping[str, str]
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from pkm_studies.study import Study
 
 SUFFIX = ".study.toml"
-#: fixture of the studies of a sweep
-FIXTURE = "varied_study"
+FIXTURE = "varied_study"  #: fixture of the studies of a sweep
 
 
 class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the class

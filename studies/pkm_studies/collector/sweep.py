@@ -30,8 +30,7 @@ from pkm_studies.tables import ClaimTable
 MARK = "study_sweep"
 #: environment variable that the processes of pytest-xdist have
 WORKER = "PYTEST_XDIST_WORKER"
-#: characters of a value in the name of a test
-MAX_VALUE_CHARACTERS = 30
+MAX_VALUE_CHARACTERS = 30  #: characters of a value in the name of a test
 
 
 class Combination(NamedTuple):
@@ -114,8 +113,6 @@ class VariedStudy:
 
 
 # -- tests of a sweep ------------------------------------------------------------------
-
-
 def parametrize(metafunc: pytest.Metafunc, fixture: str) -> None:
     """A test of each combination of a test's marks. Raises UsageError."""
     marks = list(metafunc.definition.iter_markers(MARK))

@@ -33,16 +33,12 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What a file holds.
+    """What a file holds."""
 
-    content   in a sentence
-    findings  what is wrong with its readings, the most harmful first
-    remarks   what a user should know
-    """
-
-    content: str
+    content: str  #: in a sentence
+    #: what is wrong with its readings, the most harmful first
     findings: Sequence[str] = ()
-    remarks: Sequence[str] = ()
+    remarks: Sequence[str] = ()  #: what a user should know
 
 
 def check(

@@ -51,8 +51,7 @@ FUNCTIONS = {
     "next": ("runs", "next_reading"),
 }
 
-#: columns before and between the names and the texts of the help
-HELP_INDENT = 6
+HELP_INDENT = 6  #: columns before and between the names and the texts of the help
 #: commands by when one needs them; those of other packages come where they are named
 GROUPS = {
     "Before the machine test": ("new", "import", "run", "plan", "simulate", "forecast"),

@@ -43,8 +43,7 @@ MAX_SHARE: Final = 0.5
 #: estimates of right numbers that are drawn: 5 % of them within a tenth
 N_DRAWS: Final = 2000
 REMEDY: Final = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
-#: what counts as none, in any unit: rounding
-ROUNDING: Final = 1e-12
+ROUNDING: Final = 1e-12  #: what counts as none, in any unit: rounding
 
 
 def import_numbers(

@@ -30,15 +30,13 @@ from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies.catalogue import Compensation, ControllerFormat
 from pkm_studies.results import advice_on, error_quantities
 
-#: end of the name of the file with the budget
-BUDGET_FILE = "_budget.json"
+BUDGET_FILE = "_budget.json"  #: end of the name of the file with the budget
 #: names of the lines that a file adds
 INTERPOLATION = "interpolation between the commands of the table"
 OF_EFFECTS = "interpolation of the effects' tables, at most"
 LEFT_OUT = "effects that the file does not hold"
 
-#: rms errors by pose component, in its fine unit
-Values = Mapping[str, float]
+Values = Mapping[str, float]  #: rms errors by pose component, in its fine unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,13 +50,10 @@ class FileLine:
 
 @dataclasses.dataclass(frozen=True)
 class FileBudget:
-    """A budget with the lines of a file, and what it amounts to, in a sentence.
-
-    added   rms errors that the file adds to the predicted ones, by component
-    """
+    """A budget with the lines of a file, and what it amounts to, in a sentence."""
 
     section: BudgetSection
-    added: Values
+    added: Values  #: rms errors that the file adds to the predicted ones, by component
     sentence: str
 
 

@@ -37,9 +37,8 @@ from pkm_studies.study import Study
 from pkm_studies.tables import ControllerTable
 from pkm_studies.user_code import Consent, Origin
 
+
 # Makes the content of an export from the result in a folder.
-
-
 def build_compensation(
     result: StudyResult,
     study: Study,

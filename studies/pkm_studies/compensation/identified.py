@@ -29,9 +29,8 @@ from pkm_studies.resolve import study_machine
 from pkm_studies.study import SUFFIX, Study
 from pkm_studies.user_code import Consent
 
+
 # The study of a stored result: its own text, without code, or the file that is given.
-
-
 def result_study(
     result: StudyResult,
     folder: Path,
@@ -71,8 +70,7 @@ def result_study(
 
 
 Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureSection)
-#: parameters that are drawn from the posterior for simulations
-POSTERIOR_DRAWS = 100
+POSTERIOR_DRAWS = 100  #: parameters that are drawn from the posterior for simulations
 #: what the parameters are where effects may act and are not corrected
 SENT = {
     CompensationName.MIXTURE: "the parameters are the mean of what is known, over all hypotheses where there"

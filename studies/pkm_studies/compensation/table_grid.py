@@ -32,10 +32,8 @@ DEFAULT_MAX_COMMANDS = 5000
 GROWTH_SHARE = 0.2
 #: where no accuracy was predicted, the error of each joint, m or rad
 JOINT_ERROR = 1e-6
-#: factor by which a box that is partly out of reach shrinks
-SHRINK = 0.9
-#: times that it shrinks, at most
-SHRINKS = 20
+SHRINK = 0.9  #: factor by which a box that is partly out of reach shrinks
+SHRINKS = 20  #: times that it shrinks, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,45 +249,30 @@ def _place(value: float, unit: str) -> str:
 
 #: change of a rotary joint, rad, from which the motion of a strut's end is taken
 TURN = 0.5
-#: change of a linear joint, m, for the same
-TRAVEL = 0.01
-#: m; what differs less between two poses does not move
-MOTION_TOLERANCE = 1e-9
+TRAVEL = 0.01  #: change of a linear joint, m, for the same
+MOTION_TOLERANCE = 1e-9  #: m; what differs less between two poses does not move
 LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
 
 
 @dataclasses.dataclass(frozen=True)
 class Limb:
-    """A limb at home, in the base frame; m, rad.
+    """A limb at home, in the base frame; m, rad."""
 
-    kind      `leg`, `carriage` or `crank`
-    centre    (3,) of a crank; where the strut starts, for the others
-    start     (3,) of the strut
-    end       (3,) of the strut, at the platform
-    local     (3,) the same in the platform's frame, from its tool point
-    axis      (3,) direction in which the joint moves, or about which it turns
-    joint     value of the joint
-    """
-
-    kind: str
-    centre: Array
-    start: Array
-    end: Array
-    local: Array
-    axis: Array
-    joint: float
+    kind: str  #: `leg`, `carriage` or `crank`
+    centre: Array  #: (3,) of a crank; where the strut starts, for the others
+    start: Array  #: (3,) of the strut
+    end: Array  #: (3,) of the strut, at the platform
+    local: Array  #: (3,) the same in the platform's frame, from its tool point
+    axis: Array  #: (3,) direction in which the joint moves, or about which it turns
+    joint: float  #: value of the joint
 
 
 @dataclasses.dataclass(frozen=True)
 class PlatformOnLimbs:
-    """A platform and its limbs at home.
+    """A platform and its limbs at home."""
 
-    rotation  (3, 3) of the platform
-    point     (3,) tool point, m
-    """
-
-    rotation: Array
-    point: Array
+    rotation: Array  #: (3, 3) of the platform
+    point: Array  #: (3,) tool point, m
     limbs: tuple[Limb, ...]
 
 

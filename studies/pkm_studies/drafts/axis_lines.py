@@ -11,22 +11,16 @@ from oed.model import Coordinate, Machine
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.tables import PredictionReference
 
-#: poses of the grid, at most
-POSES = 1000
-#: values of a coordinate
-VALUES = 5
-#: values of a coordinate where these are too many poses
-FEWER_VALUES = 3
+POSES = 1000  #: poses of the grid, at most
+VALUES = 5  #: values of a coordinate
+FEWER_VALUES = 3  #: values of a coordinate where these are too many poses
 #: values where an instrument leaves two coordinates free: enough readings to choose from
 MORE_VALUES = 8
-#: values of an angle that goes all the way round
-TURN_VALUES = 12
+TURN_VALUES = 12  #: values of an angle that goes all the way round
 #: shares of the workspace that the grid spans: the first whose poses can be measured
 SHARES = (0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
-#: half a range of a coordinate without end, m or rad
-HALF_RANGE = 0.1
-#: SI numbers of a geometry below this are rounding errors
-ROUNDING_TOLERANCE = 1e-12
+HALF_RANGE = 0.1  #: half a range of a coordinate without end, m or rad
+ROUNDING_TOLERANCE = 1e-12  #: SI numbers of a geometry below this are rounding errors
 
 
 def axis(c: Coordinate, machine: Machine, share: float, free: int | None = None) -> str:

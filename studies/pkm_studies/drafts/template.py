@@ -26,10 +26,8 @@ from pkm_studies.drafts.axis_lines import (
 from pkm_studies.quantities import column
 from pkm_studies.tables import TO_MEASURE
 
-#: a number that only the user can know, as TOML
-OPEN = f'"{TO_MEASURE}"'
-#: readings of the design, where the grid has as many
-DEFAULT_READINGS = 30
+OPEN = f'"{TO_MEASURE}"'  #: a number that only the user can know, as TOML
+DEFAULT_READINGS = 30  #: readings of the design, where the grid has as many
 GAP = """\
 # Real machines have small effects beside their geometry. `oed identify` asks its readings
 # about all that the machine can have. About some alone, or none:

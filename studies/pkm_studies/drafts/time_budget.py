@@ -9,8 +9,7 @@ from oed.instrument import Instrument
 from pkm_studies.base import InputError
 from pkm_studies.drafts.template import grid_size
 
-#: a day at a machine, s: one shift
-SHIFT: Final = 8.0 * units.HOUR
+SHIFT: Final = 8.0 * units.HOUR  #: a day at a machine, s: one shift
 #: seconds of a unit of time, by the beginning of its name
 SECONDS: Final = {"m": units.MINUTE, "h": units.HOUR, "d": SHIFT, "w": 5.0 * SHIFT}
 #: numbers that one writes as words
@@ -20,12 +19,9 @@ TIME: Final = re.compile(
     r"(?:\s+(?P<half>and\s+a\s+half))?"
     r"(?:(?<=half)\s+an?)?\s*(?P<unit>min(?:utes?)?|h(?:ours?)?|d(?:ays?)?|weeks?)?"
 )
-#: characters of a time
-MAX_TIME_CHARACTERS: Final = 40
-#: readings that a time is turned into, at least
-FEWEST = 6
-#: and at most
-MOST = 300
+MAX_TIME_CHARACTERS: Final = 40  #: characters of a time
+FEWEST = 6  #: readings that a time is turned into, at least
+MOST = 300  #: and at most
 
 
 def read_time(text: str) -> float:

@@ -44,8 +44,7 @@ WORDS = {
     "time": (("time", "zeit"), "s"),
     "deviation": (("deviation", "error", "abweichung"), "um"),
 }
-#: an angle that goes back by less is jitter, deg
-ANGLE_JITTER_DEG = 1.0
+ANGLE_JITTER_DEG = 1.0  #: an angle that goes back by less is jitter, deg
 #: largest deviation that is no mistake in the unit, over the radius
 MAX_DEVIATION_SHARE = 0.05
 MIN_CIRCLE_READINGS = 8
@@ -234,8 +233,7 @@ def _drop_feeds(trace: BarTrace, circle: CircleFacts) -> BarTrace:
 
 # Ball-bar traces: deviation of the bar's length against angle, or against time.
 
-#: harmonics of a turn that are not noise, at most
-MAX_HARMONIC = 15
+MAX_HARMONIC = 15  #: harmonics of a turn that are not noise, at most
 INSTRUMENT = "ball_bar_free_cup"
 
 
@@ -290,9 +288,8 @@ class BallbarImporter:
 
 importer = BallbarImporter()
 
+
 # -- study and readings ----------------------------------------------------------------
-
-
 def _study(
     request: ImportRequest,
     mapping: ColumnMap,
@@ -396,26 +393,16 @@ def _statements(
 # Neighbouring points of a trace share noise, so that a mean of m points has a variance of
 # sigma^2 / m (1 + 2 sum_j (1 - j/m) rho_j), not sigma^2 / m. It is estimated from the
 # means themselves: what a Fourier series over the angle leaves of them.
-
-
 @dataclasses.dataclass(frozen=True)
 class Thinned:
-    """A trace of block means.
+    """A trace of block means."""
 
-    angle    (n,) rad
-    reading  (n,) m
-    time     (n,) s, NaN where unknown
-    block    points a mean
-    sigma    standard deviation of a mean, m
-    lag_one  correlation of neighbouring means
-    """
-
-    angle: Array
-    reading: Array
-    time: Array
-    block: int
-    sigma: float
-    lag_one: float
+    angle: Array  #: (n,) rad
+    reading: Array  #: (n,) m
+    time: Array  #: (n,) s, NaN where unknown
+    block: int  #: points a mean
+    sigma: float  #: standard deviation of a mean, m
+    lag_one: float  #: correlation of neighbouring means
 
 
 def thin(angle: Array, reading: Array, time: Array, most: int) -> Thinned:
@@ -448,8 +435,6 @@ def _residual(angle: Array, reading: Array) -> tuple[Array, int]:
 
 
 # Circles of a ball-bar import: which runs of which files belong to which circle.
-
-
 @dataclasses.dataclass(frozen=True)
 class MeasuredCircle:
     """A circle of the map with its runs, in a set-up."""

@@ -10,10 +10,8 @@ from oed.dataset import commented
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent
 
-#: cells of a row of the readings file, by column
-Row = Mapping[str, str]
-#: what the heights of bed meshes are for
-MeshUse = Literal["hold-out", "readings"]
+Row = Mapping[str, str]  #: cells of a row of the readings file, by column
+MeshUse = Literal["hold-out", "readings"]  #: what the heights of bed meshes are for
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,14 +56,10 @@ class ImportedSession:
 
 @runtime_checkable
 class Importer(Protocol):
-    """Reads the files of one kind. An entry point of `pkm_oed.importers` adds more.
+    """Reads the files of one kind. An entry point of `pkm_oed.importers` adds more."""
 
-    name   as in `oed import NAME`
-    about  what it reads, for the list
-    """
-
-    name: str
-    about: str
+    name: str  #: as in `oed import NAME`
+    about: str  #: what it reads, for the list
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """The session in the files. Raises InputError with file, line and remedy."""

@@ -18,8 +18,7 @@ from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 BRACES = re.compile(r"\{([^{}]*)\}")
 DECIMALS = re.compile(r"[.,](\d+)$")
-#: significant digits of a product: less is rounding
-PRODUCT_DIGITS = 14
+PRODUCT_DIGITS = 14  #: significant digits of a product: less is rounding
 
 
 def expanded(mapping: ColumnMap, location: Location) -> ColumnMap:

@@ -35,10 +35,8 @@ from pkm_studies.quantities import column as usual_column
 from pkm_studies.quantities import read_values
 from pkm_studies.tables import PredictionReference
 
-#: readings that a sentence lists
-MAX_LISTED = 10
-#: columns of text
-TEXTS = ("setup", "run")
+MAX_LISTED = 10  #: readings that a sentence lists
+TEXTS = ("setup", "run")  #: columns of text
 
 
 class ColumnsImporter:

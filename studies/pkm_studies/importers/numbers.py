@@ -32,8 +32,7 @@ from pkm_studies.user_code import Origin
 
 #: share of the machine's size to which a user knows its places and lengths: some cm of 3 m
 RELATIVE_TOLERANCE: Final = 0.01
-#: mm; lengths and places by a tape measure, heights by a probe
-TAPE_MM: Final = 0.5
+TAPE_MM: Final = 0.5  #: mm; lengths and places by a tape measure, heights by a probe
 PROBE_MM: Final = 0.1
 CONTACT: Final = "contact_probe"
 REDUNDANCY: Final = "redundancy"
@@ -229,8 +228,7 @@ CHANNELS: Final = {
     "length": "length",
     "height": "height",
 }
-#: ends of a measured distance, as in x1, y1, x2, y2
-ENDS: Final = ("1", "2")
+ENDS: Final = ("1", "2")  #: ends of a measured distance, as in x1, y1, x2, y2
 
 
 def quantities(table: CsvTable, machine: Machine) -> dict[str, str]:

@@ -15,16 +15,14 @@ from pkm_studies.importers.base import Row
 from pkm_studies.importers.map_tables import OrientationColumns
 from pkm_studies.quantities import column as usual_column
 
-#: what a quaternion's length may differ by from 1
-UNIT_LENGTH = 1e-2
+UNIT_LENGTH = 1e-2  #: what a quaternion's length may differ by from 1
 #: rms deviation over the spread of the commands, above which orientations may be others
 WORST_SHARE: Final = 0.3
 #: how many times better another meaning of the columns must fit to be named
 MIN_FIT_RATIO: Final = 5.0
 #: rad; above 3 deg no registration and no machine to calibrate explains a deviation
 WORST_TURN: Final = np.radians(3.0)
-#: orientations that a comparison takes at least
-MIN_ORIENTATIONS: Final = 4
+MIN_ORIENTATIONS: Final = 4  #: orientations that a comparison takes at least
 #: names of the forms in the map
 FORMS = ("quaternion", "rotation_vector_rad", "rotation_vector_deg", "direction")
 
@@ -120,8 +118,6 @@ def row_orientations(
 # R_k = A C_k B: what is read, of the commanded C_k. A is the instrument's frame, known
 # from the points, and B a constant turn of the target on the platform, the mean of
 # C_k^T A^T R_k. What is left is compared with how far the C_k differ.
-
-
 def check_sense(
     turn: Rotation | None,
     read: Array,

@@ -280,8 +280,6 @@ def _setups(
 
 
 # -- columns that a header explains ----------------------------------------------------
-
-
 def named_markers(table: CsvTable) -> CsvTable:
     """The table with plain names of a single Qualisys marker's or body's columns."""
     rows = [cells for _, cells in table.above if cells and cells[0] in NAMES]
@@ -383,8 +381,7 @@ def _check_deleted(table: CsvTable) -> None:
 # orientation that was not measured stays out and costs no point.
 
 STATION = "tracker"
-#: end of the name of a target's readings without orientation
-POINTS = "_points"
+POINTS = "_points"  #: end of the name of a target's readings without orientation
 
 
 def target_rows(

@@ -22,8 +22,7 @@ from oed.result import (
 )
 from pkm_reports import missing, style, text
 
-#: effects that the diagnosis' figure shows
-MAX_EFFECTS = 10
+MAX_EFFECTS = 10  #: effects that the diagnosis' figure shows
 
 
 def new_axes() -> Axes:

@@ -21,18 +21,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 StageT = TypeVar("StageT", bound=Scheduled)
 
-#: rows that a notebook shows of a table
-ROWS_SHOWN = 30
+ROWS_SHOWN = 30  #: rows that a notebook shows of a table
 
 
 @dataclasses.dataclass(frozen=True)
 class View(Generic[StageT]):
-    """A step's outcome, with the state of the run that led to it.
+    """A step's outcome, with the state of the run that led to it."""
 
-    state    of the run: kernel objects, random streams, sections so far
-    """
-
-    state: StageT
+    state: StageT  #: of the run: kernel objects, random streams, sections so far
 
     def __post_init__(self) -> None:
         """Raises WithheldError where the step left out what the view shows."""
@@ -360,14 +356,10 @@ class DiagnosisView(View[Fitted]):
 
 @dataclasses.dataclass(frozen=True)
 class Said:
-    """What a command of the machine says, and what it is made of.
+    """What a command of the machine says, and what it is made of."""
 
-    sentences   as the command prints them
-    outcome     the advice, the planned test, or its verdict
-    """
-
-    sentences: tuple[str, ...]
-    outcome: Any
+    sentences: tuple[str, ...]  #: as the command prints them
+    outcome: Any  #: the advice, the planned test, or its verdict
 
     def __repr__(self) -> str:
         return "\n".join(self.sentences)

@@ -154,8 +154,7 @@ def _metres_of(mm: Point) -> Point:
 
 #: largest share by which a reading may differ from what the instrument holds
 HOLD_TOLERANCE = 0.01
-#: m; a shorter distance from the cup is rounding
-NO_LENGTH = 1e-9
+NO_LENGTH = 1e-9  #: m; a shorter distance from the cup is rounding
 CANNOT_HOLD = "cannot hold their reading"
 
 
@@ -610,8 +609,6 @@ def design_request(
 
 
 # -- fields that need each other -------------------------------------------------------
-
-
 def _check_fields(study: Study, table: DesignTable, location: Location) -> None:
     _check_criteria(study, table, location)
     _check_prior(table, location)
@@ -763,8 +760,6 @@ def _check_needs(
 
 
 # -- what is judged --------------------------------------------------------------------
-
-
 def _interest(
     table: DesignTable, measurement: Measurement, location: Location
 ) -> tuple[str, ...]:

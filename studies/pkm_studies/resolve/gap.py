@@ -43,8 +43,7 @@ if TYPE_CHECKING:
 
 # Effects as a study states them: expected sizes ([effects], `leg_thermal_C = 1`), gears.
 
-#: how a quotient is written in the name of a field: `ppm_per_C`
-PER = "_per_"
+PER = "_per_"  #: how a quotient is written in the name of a field: `ppm_per_C`
 
 
 def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
@@ -121,10 +120,8 @@ def _spelt(unit: str) -> str:
 NO_EFFECTS, ALL_EFFECTS = "none", "catalogue"
 #: combinations of effects that are unknowns of candidates, at most
 MAX_EFFECT_UNKNOWNS = 60
-#: courses of a session that are drawn
-DRAWN_COURSES = 8
-#: time that a session lasts where nothing says it, s
-SESSION_SECONDS = 7200.0
+DRAWN_COURSES = 8  #: courses of a session that are drawn
+SESSION_SECONDS = 7200.0  #: time that a session lasts where nothing says it, s
 
 ALL = "all"
 
@@ -406,10 +403,8 @@ def _usual_constants(effect: Effect) -> dict[str, float]:
 
 #: how `Series.passes` ends the name of a run's pass
 PASS_SUFFIX = re.compile(r", (forward|backward) (\d+)$")
-#: seconds in a minute
-MINUTE = units.factor("min")
-#: m/s in a mm/min
-FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
+MINUTE = units.factor("min")  #: seconds in a minute
+FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")  #: m/s in a mm/min
 COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
 
 
@@ -474,8 +469,7 @@ def _condition_si(condition: RunCondition) -> dict[str, float]:
 
 # What [gap.design] requests: effects to separate, candidate runs, rules of choice.
 
-#: `keep` with this name is the plan that [plan] makes
-PLAN = "plan"
+PLAN = "plan"  #: `keep` with this name is the plan that [plan] makes
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,9 +38,8 @@ from pkm_studies.tables import (
     Span,
 )
 
+
 # Ranges of commands: their units, and what is outside the workspace.
-
-
 def command_units(machine: Machine) -> dict[str, str]:
     """SI units of the command coordinates, by name."""
     return {c.name: c.unit for c in machine.command}
@@ -88,10 +87,8 @@ def check_tool_workspace(
 FORMS = ("poses", "file", "circle", "line", "cube", "sample")
 #: forms that give tool points, and may leave angles to coordinates of one value
 POINT_FORMS = ("circle", "line", "cube")
-#: poses sampled where a table gives none
-DEFAULT_SAMPLE = 500
-#: a joint may exceed its range by this much (m, rad)
-RANGE_TOLERANCE = 1e-9
+DEFAULT_SAMPLE = 500  #: poses sampled where a table gives none
+RANGE_TOLERANCE = 1e-9  #: a joint may exceed its range by this much (m, rad)
 
 
 class Poses(NamedTuple):
@@ -143,8 +140,6 @@ def given_poses(
 
 
 # -- lists and files -------------------------------------------------------------------
-
-
 def _listed(
     lists: Mapping[str, list[float]], machine: Machine, location: Location
 ) -> Poses:
@@ -189,8 +184,6 @@ def _command(
 
 
 # -- circles, lines and cubes ----------------------------------------------------------
-
-
 def _points(table: GridTable, kind: str) -> tuple[Array, list[str]]:
     """Tool points (n, 3), m, and the run of each."""
     if table.circle is not None:
@@ -295,8 +288,7 @@ def keep_within_reach(
     return reached
 
 
-#: most poses of one grid
-MAX_POSES = 200_000
+MAX_POSES = 200_000  #: most poses of one grid
 #: how far beyond its range (m, rad) a joint may be before a pose is refused
 FULL_TURN = 2.0 * math.pi
 
@@ -603,8 +595,6 @@ def _pairs(
 
 
 # The pose that a plan repeats to see heat: [design.order] reference.
-
-
 def reference_command(
     measurement: Measurement,
     name: str,

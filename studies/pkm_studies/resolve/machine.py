@@ -19,9 +19,8 @@ from pkm_studies.study import Study
 from pkm_studies.tables import AdjustTable, DriveTable, MachineTable
 from pkm_studies.user_code import Origin
 
+
 # Looks up names that a study uses; an unknown one raises with the nearest known.
-
-
 def known_name(
     name: str, allowed: Iterable[str], location: Location, kind: str = "set-up"
 ) -> str:

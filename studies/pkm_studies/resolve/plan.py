@@ -132,8 +132,7 @@ def request_of_table(
     )
 
 
-#: seed of the states of the workspace in which effects act
-STATE_SEED = 0
+STATE_SEED = 0  #: seed of the states of the workspace in which effects act
 #: combinations of effects that are unknowns of a plan, at most: its search carries a
 #: covariance of them from stage to stage
 MAX_EFFECT_UNKNOWNS = 20

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 
 # Table [prediction] as commands at which accuracy counts, and what is wanted there; SI.
 
-#: covariates that place a reading in its session
-FROM_THE_SESSION = ("time", "repeat")
+FROM_THE_SESSION = ("time", "repeat")  #: covariates that place a reading in its session
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,8 +159,7 @@ def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
     return quantities.read_values(study.prediction.wanted, unit_of, location)
 
 
-#: places along a coordinate of the workspace where the study names none
-N_PLACES = 5
+N_PLACES = 5  #: places along a coordinate of the workspace where the study names none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,11 +257,9 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
     return kinematics.machine.home_command[None]
 
 
-#: values of each coordinate at which the workspace is tried
-N_TRIED = 3
+N_TRIED = 3  #: values of each coordinate at which the workspace is tried
 
-#: most poses that are tried
-MAX_TRIED = 729
+MAX_TRIED = 729  #: most poses that are tried
 
 
 def unreachable(kinematics: Kinematics) -> str | None:

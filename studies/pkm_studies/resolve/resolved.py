@@ -79,9 +79,8 @@ if TYPE_CHECKING:
 
     from oed.dataset import Dataset
 
+
 # Which readings are fitted, held out or simulated, and which set-ups they use.
-
-
 def used_setups(
     study: Study,
     candidates: Sequence[Series],
@@ -194,8 +193,6 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
 
 
 # The machine with the study's nominal numbers, and its set-ups as mounted.
-
-
 def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:
     """Every [[setup]] by its name. Raises InputError."""
     location = study.location.key("setup")
@@ -342,8 +339,7 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, location: Location) 
 
 #: rows of a table of parameters by name: value, unit, and nominal where it is there
 Rows = Mapping[str, Mapping[str, Any]]
-#: bytes of the largest file
-MAX_BYTES = 1 << 26
+MAX_BYTES = 1 << 26  #: bytes of the largest file
 #: what counts as the same command, in the unit of its column: six decimals are written
 SAME_COMMAND = 2e-6
 REMEDY = (

@@ -34,8 +34,7 @@ MIN_SIGMA = 1e-12
 LARGEST = 1e3
 #: ends of the names of an error that all readings of a run share, and of a display's step
 RUN, RESOLUTION = "_run", "_resolution"
-#: name of what each run seats anew
-SEATING = "seating"
+SEATING = "seating"  #: name of what each run seats anew
 
 
 def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
@@ -451,8 +450,6 @@ def _share(machine: Machine, number: int) -> float:
 
 
 # -- errors of a common cause ----------------------------------------------------------
-
-
 def add_correlation(study: Study, machine: Machine) -> Machine:
     """The machine with [[prior.correlated]]. Raises InputError for what cannot be."""
     tables = study.prior.correlated
@@ -495,8 +492,6 @@ def add_correlation(study: Study, machine: Machine) -> Machine:
 
 
 # -- knowledge of other sessions ---------------------------------------------------
-
-
 def add_earlier(study: Study, machine: Machine) -> Machine:
     """The machine with what [prior] earlier or from knows in place of its tolerances.
 

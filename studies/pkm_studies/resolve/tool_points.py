@@ -11,16 +11,11 @@ from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 
-#: sampled commands
-SAMPLES = 600
-#: steps of the solution, at most
-STEPS = 30
-#: step of a difference quotient, m or rad
-SLOPE_STEP = 1e-6
-#: miss that is accepted, m
-MISS = 1e-8
-#: largest step, over a coordinate's range
-MAX_STEP = 0.2
+SAMPLES = 600  #: sampled commands
+STEPS = 30  #: steps of the solution, at most
+SLOPE_STEP = 1e-6  #: step of a difference quotient, m or rad
+MISS = 1e-8  #: miss that is accepted, m
+MAX_STEP = 0.2  #: largest step, over a coordinate's range
 #: digits of a command, m or rad: less is rounding of the solution
 COMMAND_DECIMALS = 12
 AXES = "xyz"

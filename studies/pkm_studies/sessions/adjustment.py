@@ -234,8 +234,6 @@ def _lines(
 
 
 # -- files and sentences ---------------------------------------------------------------
-
-
 def _csv_text(section: AdjustmentSection) -> str:
     """Lines with the accuracy after each, the state before the first line at the top."""
     columns = [f"{name}_{unit}" for name, unit in section.unit.items()]

@@ -191,24 +191,19 @@ def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[st
 
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
-#: probability of proving a drift that is called provable
-MIN_POWER = 0.9
+MIN_POWER = 0.9  #: probability of proving a drift that is called provable
 #: limit of the rms error over that right after a calibration, where none is given
 RMS_RATIO = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Sessions:
-    """Results of one machine in order of time.
-
-    times  (k,) days, or numbers of the sessions where no dates are known
-    unit   `day` or `session`
-    """
+    """Results of one machine in order of time."""
 
     folders: tuple[Path, ...]
     results: tuple[StudyResult, ...]
-    times: Array
-    unit: str
+    times: Array  #: (k,) days, or numbers of the sessions where no dates are known
+    unit: str  #: `day` or `session`
 
 
 def machine_history(
@@ -308,23 +303,15 @@ def _sessions_text(sessions: Sessions) -> str:
 
 
 # -- when to calibrate again -----------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class _Error:
-    """The rms error of a component over the workspace.
-
-    maps   (m, n) pose errors over the shared parameters, SI
-    unit   fine unit
-    after  right after the last session, SI
-    limit  at which to calibrate again, SI
-    """
+    """The rms error of a component over the workspace."""
 
     name: str
-    maps: Array
-    unit: str
-    after: float
-    limit: float
+    maps: Array  #: (m, n) pose errors over the shared parameters, SI
+    unit: str  #: fine unit
+    after: float  #: right after the last session, SI
+    limit: float  #: at which to calibrate again, SI
 
 
 def _errors(

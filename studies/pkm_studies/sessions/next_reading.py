@@ -43,10 +43,8 @@ from pkm_studies.study import Study
 
 # Effects beside the geometry in the advice at the machine, at their expected sizes.
 
-#: machines that are drawn for an interval or a probability
-DRAWN_MACHINES = 4000
-#: share of a wanted accuracy that no reading reaches
-OUT_OF_REACH = 1e-9
+DRAWN_MACHINES = 4000  #: machines that are drawn for an interval or a probability
+OUT_OF_REACH = 1e-9  #: share of a wanted accuracy that no reading reaches
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,8 +139,7 @@ NO_READING = "no reading was taken"
 AS_PLANNED = "plan"
 #: share by which a session with the plan's readings may miss the plan's accuracy
 ACCURACY_TOLERANCE = 1e-6
-#: time between two looks at the file, s
-POLL_SECONDS = 0.5
+POLL_SECONDS = 0.5  #: time between two looks at the file, s
 
 
 class FittedReadings(NamedTuple):
@@ -653,8 +650,6 @@ def _values(numbers: dict[str, float]) -> str:
 
 
 # Reads the second visit that a diagnosis advises from its result, in lines.
-
-
 def visit_lines(study: Study, named: Path, folder: Path) -> list[str]:
     """What the visit is worth, its runs, and the file to fill in.
 
@@ -717,8 +712,7 @@ def _words(condition: Mapping[str, float]) -> Iterator[str]:
 #: largest difference of a written command, mm or deg: twice its last digit
 WRITTEN_STEP: Final = 2e-4
 
-#: how the remark of a skipped pose begins
-SKIPPED: Final = "skipped"
+SKIPPED: Final = "skipped"  #: how the remark of a skipped pose begins
 
 
 class SkippedPose(NamedTuple):

@@ -26,9 +26,8 @@ from pkm_studies.resolve import ResolvedStudy, readings_comments
 from pkm_studies.stages.run_state import Fitted, StateT
 from pkm_studies.tables import ForecastTable
 
+
 # The section `forecast` in sentences, for the terminal.
-
-
 def forecast_sentences(section: ForecastSection | None) -> Iterator[str]:
     """What to measure, and what the table leaves where it is measured."""
     if section is None:
@@ -83,10 +82,8 @@ def _residual(name: str, c: ForecastComponent) -> str:
 WORKSPACE_PLACES = 256
 #: candidates along each axis, by the number of axes; further ones have the last
 CANDIDATES = (41, 11, 6, 4)
-#: most candidates; more are drawn among
-MAX_CANDIDATES = 250
-#: candidates round a full turn
-CANDIDATES_PER_TURN = 12
+MAX_CANDIDATES = 250  #: most candidates; more are drawn among
+CANDIDATES_PER_TURN = 12  #: candidates round a full turn
 #: names of an instrument's channel that reads the error of a component
 CHANNELS = ("{}", "d{}", "read_{}")
 
@@ -491,8 +488,7 @@ def _doubts(task: ForecastTask, command: Array, pull: Array) -> Iterator[str]:
 NODES, TABLE = "forecast_nodes.csv", "forecast_table.csv"
 #: columns of a component's measured error, and of its standard deviation
 ERROR, SIGMA = "error_{}_{}", "sigma_{}_{}"
-#: decimals of the table, in mm and degrees
-TABLE_DECIMALS = 6
+TABLE_DECIMALS = 6  #: decimals of the table, in mm and degrees
 
 
 def error_columns(components: tuple[Component, ...], pattern: str) -> list[str]:
@@ -617,8 +613,6 @@ def _shown(values: Array, unit: str) -> Array:
 
 
 # The step of forecast compensation: plans its nodes, and fits those that were measured.
-
-
 def forecast_errors(
     state: StateT,
     knowledge: EstimatedParameters | None = None,

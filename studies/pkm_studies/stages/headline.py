@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from oed.result import Claim, StudyResult
     from pkm_reports.blocks import Table
 
+
 # A design in sentences: what its readings reach, and on a machine with effects.
-
-
 def gain_sentences(section: DesignSection | None) -> list[str]:
     """How much more accurate the machine becomes than with the first reference plan."""
     if section is None or len(section.plans) < 2 or not section.plans[0].gain:
@@ -129,10 +128,8 @@ REFERENCES = {
     "absolute": "in the base frame",
     "best_fit": "after best alignment",
 }
-#: share of the error from which a choice is named
-MIN_GAIN = 0.01
-#: choices that are named, at most
-MAX_NAMED_CHOICES = 3
+MIN_GAIN = 0.01  #: share of the error from which a choice is named
+MAX_NAMED_CHOICES = 3  #: choices that are named, at most
 
 
 def sentences(
@@ -406,8 +403,6 @@ def _change(name: str, before: float, after: float, unit: str) -> str:
 
 
 # -- what else to record ---------------------------------------------------------------
-
-
 def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[str]:
     """What else to record beside the plans, the best first; none without effects."""
     sentences = []
@@ -429,12 +424,9 @@ def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[s
 
 # What a terminal prints of a result, and the exit code.
 
-#: lines of a summary, which a terminal shows without scrolling
-MAX_LINES: Final = 12
-#: sentences of a result that has no first lines
-MAX_BARE_SENTENCES: Final = 3
-#: the one that is never summed up
-CONTRADICTS: Final = "contradicts"
+MAX_LINES: Final = 12  #: lines of a summary, which a terminal shows without scrolling
+MAX_BARE_SENTENCES: Final = 3  #: sentences of a result that has no first lines
+CONTRADICTS: Final = "contradicts"  #: the one that is never summed up
 #: names of the files that a user opens
 PAGES: Final = ("report.html", "report.pdf", "result.json")
 
@@ -534,8 +526,6 @@ def _sentence(text: str) -> str:
 
 
 # What the command prints of a result, and the exit code.
-
-
 def report_outcome(
     result: StudyResult,
     folder: Path,

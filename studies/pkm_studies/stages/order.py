@@ -55,8 +55,7 @@ from pkm_studies.stages.run_state import (
 )
 from pkm_studies.study import Study
 
-#: takes a state of a run and returns the next
-Step = Callable[[Any], Any]
+Step = Callable[[Any], Any]  #: takes a state of a run and returns the next
 
 
 def steps_to_readings(readings_given: bool) -> list[Step]:

@@ -44,8 +44,7 @@ HEADER = [
     "cost_min",
     "kappa",
 ]
-#: columns of plans with times
-TIMES = ["begin_min", "end_min", "price", "operator"]
+TIMES = ["begin_min", "end_min", "price", "operator"]  #: columns of plans with times
 
 
 def stages_csv(plan: result.PlanSection) -> str:
@@ -105,8 +104,7 @@ def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str,
 
 # Writes what a run ends in into the folder of its result.
 
-#: folder of an unfinished posterior
-UNFINISHED = "posterior.unfinished"
+UNFINISHED = "posterior.unfinished"  #: folder of an unfinished posterior
 POSTERIOR = "posterior.nc"
 
 

@@ -23,9 +23,8 @@ from pkm_studies.stages.run_state import (
     state_of,
 )
 
+
 # Steps that provide readings: recorded, or of a virtual machine.
-
-
 class SimulatedReadings(NamedTuple):
     """Readings of a virtual machine, its parameters (n,), SI, and its acting effects."""
 
@@ -180,8 +179,7 @@ def _true_parameters(state: RunState) -> Array:
 
 # What a run would refuse of a study before it computes anything, for `oed check`.
 
-#: candidates at which an effect is asked for its coefficients
-N_ASKED = 5
+N_ASKED = 5  #: candidates at which an effect is asked for its coefficients
 NOTHING_TO_RUN = (
     "`oed run` has neither readings nor a plan in it: add [readings], candidates or a"
     " reference plan, or give readings to `oed identify`"

@@ -18,8 +18,7 @@ from pkm_studies.resolve import GapRequest, PredictionRequest
 
 #: readings of a reference run that is repeated at the end, at most
 MAX_REFERENCE_READINGS = 8
-#: how a need names a temperature, and the time
-TEMPERATURE, TIME = "temp_", "time"
+TEMPERATURE, TIME = "temp_", "time"  #: how a need names a temperature, and the time
 #: covariates that cost nothing, in words
 COVARIATES = {
     "direction": "the direction of travel, with readings from both sides",
@@ -29,25 +28,18 @@ COVARIATES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlanToRecord:
-    """The readings of a plan on a machine with effects.
-
-    series       in working order
-    planned      the effects in the candidates of which these are some
-    effects      those that are tried
-    information  of the prior of the machine's free parameters
-    seconds      that the session lasts; None where nothing says it
-    further      other measurements that could be added: readings by name
-    """
+    """The readings of a plan on a machine with effects."""
 
     measurement: Measurement
-    series: tuple[Series, ...]
-    planned: PlannedEffects
-    effects: Sequence[Effect]
+    series: tuple[Series, ...]  #: in working order
+    planned: PlannedEffects  #: the effects in the candidates of which these are some
+    effects: Sequence[Effect]  #: those that are tried
     request: GapRequest
     prediction: PredictionRequest
-    information: Array
+    information: Array  #: of the prior of the machine's free parameters
     seed: Sequence[int]
-    seconds: float | None = None
+    seconds: float | None = None  #: that the session lasts; None where nothing says it
+    #: other measurements that could be added: readings by name
     further: Mapping[str, tuple[Measurement, tuple[Series, ...]]]
 
 

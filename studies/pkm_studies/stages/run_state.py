@@ -47,28 +47,20 @@ class HeldOut(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Readings:
-    """Readings that a run works on; these are only planned.
+    """Readings that a run works on; these are only planned."""
 
-    series      their poses
-    covariates  one row a reading, if known
-    """
-
-    series: tuple[Series, ...]
-    covariates: pd.DataFrame | None = None
+    series: tuple[Series, ...]  #: their poses
+    covariates: pd.DataFrame | None = None  #: one row a reading, if known
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MeasuredReadings(Readings):
-    """Readings with their values.
+    """Readings with their values."""
 
-    y           (N,) values, SI
-    truth       (n,) parameters of the virtual machine that gave them, SI
-    held_out    readings that are predicted, not fitted
-    """
-
-    y: Array
+    y: Array  #: (N,) values, SI
+    #: (n,) parameters of the virtual machine that gave them, SI
     truth: Array | None = None
-    held_out: HeldOut | None = None
+    held_out: HeldOut | None = None  #: readings that are predicted, not fitted
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -19,8 +19,7 @@ from pkm_studies.tables import ReadingsTable, StudyFile
 from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
-#: bytes of the largest study file
-MAX_BYTES = 2_000_000
+MAX_BYTES = 2_000_000  #: bytes of the largest study file
 SUFFIX = ".study.toml"
 
 
@@ -163,8 +162,6 @@ def _check_readings(table: ReadingsTable, location: Location) -> None:
 
 
 # Studies that differ from a base in some fields, as campaigns and test sweeps vary it.
-
-
 def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """Every value of each field with every value of the others, in their order."""
     values = itertools.product(*vary.values())

@@ -26,10 +26,8 @@ from pkm_studies import files
 from pkm_studies.base import InputError, Location
 
 SUFFIX = ".py"
-#: bytes of the largest file that is run
-MAX_BYTES = 4_000_000
-#: characters of an error that are shown
-MAX_REASON_LENGTH = 120
+MAX_BYTES = 4_000_000  #: bytes of the largest file that is run
+MAX_REASON_LENGTH = 120  #: characters of an error that are shown
 
 
 class Consent(enum.Enum):
@@ -52,16 +50,11 @@ class Consent(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a reference stands.
+    """Where a reference stands."""
 
-    folder   that its paths are relative to
-    consent  to run the files that it names
-    typed    whether the user typed it: then the file may lie anywhere
-    """
-
-    folder: Path = Path()
-    consent: Consent = Consent.RECORDED
-    typed: bool = False
+    folder: Path = Path()  #: that its paths are relative to
+    consent: Consent = Consent.RECORDED  #: to run the files that it names
+    typed: bool = False  #: whether the user typed it: then the file may lie anywhere
 
     @classmethod
     def command(cls, consent: Consent) -> Origin:
@@ -195,10 +188,8 @@ def _failure(error: BaseException, name: str, location: Location) -> InputError:
 # settings, or in the environment variable `OED_TRUSTED_FOLDERS`.
 
 APP = "pkm-oed"
-#: trusted folders, separated as in PATH
-VARIABLE = "OED_TRUSTED_FOLDERS"
-#: field of the settings with the trusted folders
-FIELD = "trusted_folders"
+VARIABLE = "OED_TRUSTED_FOLDERS"  #: trusted folders, separated as in PATH
+FIELD = "trusted_folders"  #: field of the settings with the trusted folders
 #: bytes of the largest file of settings, and of the list of allowed files
 SETTINGS_LIMIT = 1_000_000
 

@@ -19,10 +19,8 @@ from pkm_studies.compensation.formats.json_file import (
 )
 from pkm_studies.quantities import column
 
-#: decimals of lengths in mm and of angles in degrees
-COMMAND_DECIMALS = 6
-#: significant digits of parameters
-PARAMETER_DIGITS = 12
+COMMAND_DECIMALS = 6  #: decimals of lengths in mm and of angles in degrees
+PARAMETER_DIGITS = 12  #: significant digits of parameters
 
 
 def write(compensation: Compensation) -> Texts:

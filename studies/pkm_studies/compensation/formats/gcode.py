@@ -13,12 +13,9 @@ from pkm_studies.catalogue import (
 )
 from pkm_studies.quantities import display_unit
 
-#: rest before a reading, s
-DWELL = 2.0
-#: mm/min
-FEED = 300
-#: letters of angles, in the order of the command
-TURNS = "ABC"
+DWELL = 2.0  #: rest before a reading, s
+FEED = 300  #: mm/min
+TURNS = "ABC"  #: letters of angles, in the order of the command
 
 
 def letters(machine: Machine) -> dict[str, str]:

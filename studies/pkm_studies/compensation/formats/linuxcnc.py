@@ -15,8 +15,7 @@ from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
-#: kinematics module by number of struts
-MODULES = {6: "genhexkins", 3: "tripodkins"}
+MODULES = {6: "genhexkins", 3: "tripodkins"}  #: kinematics module by number of struts
 #: m; ends and lengths that differ less between two poses do not move
 MOTION_TOLERANCE = 1e-9
 
@@ -32,16 +31,11 @@ NEEDS = (
 
 @dataclasses.dataclass(frozen=True)
 class Struts:
-    """Struts (n) of a platform, mm.
+    """Struts (n) of a platform, mm."""
 
-    base      (n, 3) joints in the base frame
-    platform  (n, 3) joints in the platform's frame, from the tool point
-    zero      (n,) length of a strut less its joint's reading
-    """
-
-    base: Array
-    platform: Array
-    zero: Array
+    base: Array  #: (n, 3) joints in the base frame
+    platform: Array  #: (n, 3) joints in the platform's frame, from the tool point
+    zero: Array  #: (n,) length of a strut less its joint's reading
 
 
 def struts_of(kinematics: Kinematics, parameters: Array) -> Struts:
@@ -268,21 +262,14 @@ Z_OFFSET = re.compile(r"^# Z_OFFSET = (\S+)", re.MULTILINE)
 
 @dataclasses.dataclass(frozen=True)
 class DeltaModule:
-    """A kinematics module.
+    """A kinematics module."""
 
-    name     of the module
-    pins     its numbers
-    degrees  (3,) angles of its joints 0, 1 and 2
-    unit     of its joints
-    sense    1 where its joints count as those of the study, -1 where against
-    travels  (pins, points (n, 3)) its joints (n, 3), points in mm
-    """
-
-    name: str
-    pins: tuple[str, ...]
-    degrees: tuple[float, float, float]
-    unit: str
-    sense: float
+    name: str  #: of the module
+    pins: tuple[str, ...]  #: its numbers
+    degrees: tuple[float, float, float]  #: (3,) angles of its joints 0, 1 and 2
+    unit: str  #: of its joints
+    sense: float  #: 1 where its joints count as those of the study, -1 where against
+    #: (pins, points (n, 3)) its joints (n, 3), points in mm
     travels: Callable[[Array, Array], Array]
 
 

@@ -41,8 +41,7 @@ LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
 #: m or 1; what is off by less is in its place, as drawings are rounded
 SAME_POINT = 1e-6
 STEPS, CLOSED = 50, 1e-12
-#: loops of a file: more limbs than any machine has
-MAX_LOOPS = 100
+MAX_LOOPS = 100  #: loops of a file: more limbs than any machine has
 KINDS = (
     "a limb is a leg (a universal or ball joint at the base, then a slide along it), or a"
     " strut with such a joint on a slide or on a hinge"
@@ -51,21 +50,14 @@ KINDS = (
 
 @dataclasses.dataclass
 class DrawnLimb:
-    """A limb as drawn, in the base frame; m, rad.
+    """A limb as drawn, in the base frame; m, rad."""
 
-    kind    `leg`, `carriage` or `crank`
-    drive   its driven joint
-    start   (3,) of the strut
-    end     (3,) of the strut, at the platform
-    local   (3,) the same from the tool point
-    motion  of the driven joint, from the drawing to where the loops close
-    """
-
-    kind: str
-    drive: PlacedJoint
-    start: Array
-    end: Array
-    local: Array
+    kind: str  #: `leg`, `carriage` or `crank`
+    drive: PlacedJoint  #: its driven joint
+    start: Array  #: (3,) of the strut
+    end: Array  #: (3,) of the strut, at the platform
+    local: Array  #: (3,) the same from the tool point
+    #: of the driven joint, from the drawing to where the loops close
     motion: float = 0.0
 
     @property
@@ -95,15 +87,12 @@ class DrawnLimb:
 
 @dataclasses.dataclass(frozen=True)
 class DrawnMachine:
-    """Limbs, the axes along which the platform moves, and whether it turns.
-
-    home  (3,) tool point where the loops close
-    """
+    """Limbs, the axes along which the platform moves, and whether it turns."""
 
     limbs: tuple[DrawnLimb, ...]
     axes: Array
     turns: bool
-    home: Array
+    home: Array  #: (3,) tool point where the loops close
 
 
 def drawn_machine(tree: BodyTree, location: Location) -> DrawnMachine:
@@ -260,17 +249,12 @@ def _close(
 
 
 SUFFIXES = (".xml", ".urdf")
-#: first half width of the workspace over the largest length
-REACH = 0.08
-#: largest tilt, rad
-TILT = 0.08
-#: times that a workspace out of reach is halved, at most
-HALVINGS = 6
+REACH = 0.08  #: first half width of the workspace over the largest length
+TILT = 0.08  #: largest tilt, rad
+HALVINGS = 6  #: times that a workspace out of reach is halved, at most
 TOLERANCE = 1e-9
-#: rad; a knee that bends by less is drawn straight
-STRAIGHT_ANGLE = 1e-6
-#: slope of a rotary delta's axes, at most
-MAX_SLOPE = 0.1
+STRAIGHT_ANGLE = 1e-6  #: rad; a knee that bends by less is drawn straight
+MAX_SLOPE = 0.1  #: slope of a rotary delta's axes, at most
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 
@@ -378,7 +362,6 @@ def _exact(value: Any, si: str) -> str:
 
 
 # -- one family each -------------------------------------------------------------------
-
 Geometry = tuple[dict[str, Any], dict[str, float]]
 
 

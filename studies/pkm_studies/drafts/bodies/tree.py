@@ -11,26 +11,19 @@ from oed.base import Array
 
 HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
 WORLD = "world"
-#: what a hinge's direction may lack of 1 along z: rounding
-MAX_LACK = 1e-12
-#: the point in which the chains of a five-bar meet
-TOOL = "the tool point"
+MAX_LACK = 1e-12  #: what a hinge's direction may lack of 1 along z: rounding
+TOOL = "the tool point"  #: the point in which the chains of a five-bar meet
 
 
 @dataclasses.dataclass(frozen=True)
 class BodyJoint:
-    """A joint between a body and its parent.
-
-    kind   `hinge`, `slide`, `ball` or `free`
-    axis   (3,) unit vector, in the body's frame
-    at     (3,) a point of it, in the body's frame, m
-    value  what it reads in the configuration that the file draws, m or rad
-    """
+    """A joint between a body and its parent."""
 
     name: str
-    kind: str
-    axis: Array
-    at: Array
+    kind: str  #: `hinge`, `slide`, `ball` or `free`
+    axis: Array  #: (3,) unit vector, in the body's frame
+    at: Array  #: (3,) a point of it, in the body's frame, m
+    #: what it reads in the configuration that the file draws, m or rad
     value: float = 0.0
 
 
@@ -66,14 +59,12 @@ class BodyLoop:
 
 @dataclasses.dataclass(frozen=True)
 class BodyTree:
-    """Bodies by name, loops, and the tool point by its body.
-
-    ignored  what of the file says nothing of the geometry, in words
-    """
+    """Bodies by name, loops, and the tool point by its body."""
 
     bodies: dict[str, Body]
     loops: tuple[BodyLoop, ...]
     tools: dict[str, Array]
+    #: what of the file says nothing of the geometry, in words
     ignored: tuple[str, ...] = ()
 
     @functools.cached_property

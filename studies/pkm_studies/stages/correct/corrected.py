@@ -58,9 +58,8 @@ from pkm_studies.stages.predict.prediction import (
 )
 from pkm_studies.stages.run_state import Fitted, Measured
 
+
 # Coefficients of the joint estimate, for the diagnosis and its sentences.
-
-
 def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRecord]:
     """Each coefficient, SI."""
     estimate = corrected.estimate
@@ -116,8 +115,7 @@ def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> Gap
 
 # Reports the tables with which a controller corrects effects: `corrected.tables`.
 
-#: largest number of commands of the effects' tables
-MAX_EFFECT_TABLE_COMMANDS = 1000
+MAX_EFFECT_TABLE_COMMANDS = 1000  #: largest number of commands of the effects' tables
 
 
 def effect_tables(
@@ -396,8 +394,6 @@ def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[st
 #
 # The check looked at a fit without effects. Where parameters and effects together fit, the
 # alarm would be untrue of the values that count.
-
-
 def resolved_sentences(
     corrected: CorrectedSection, findings: Sequence[CheckFinding]
 ) -> dict[str, str]:
@@ -426,8 +422,6 @@ def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, 
 
 
 # The step that estimates parameters and effects together.
-
-
 def correct_for_effects(state: Fitted) -> Fitted:
     """Estimate the parameters together with the effects that are named or diagnosed."""
     request, gap = state.resolved.diagnosed, state.result.gap

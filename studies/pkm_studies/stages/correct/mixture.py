@@ -43,8 +43,7 @@ from pkm_studies.stages.run_state import Fitted
 
 # Parameters and accuracy over all hypotheses of a diagnosis: the record `gap.mixture`.
 
-#: ends of a 95 % interval
-INTERVAL = (0.025, 0.975)
+INTERVAL = (0.025, 0.975)  #: ends of a 95 % interval
 PHRASES = {
     CompensationName.MIXTURE: "by the parameters over all hypotheses",
     CompensationName.BEST: "by those of the best hypothesis alone",
@@ -54,8 +53,7 @@ PHRASES = {
 }
 #: probability that what stays after compensation is within its bound
 BOUND_PROBABILITY = 0.95
-#: probability that is rounding
-ROUNDING_PROBABILITY = 1e-6
+ROUNDING_PROBABILITY = 1e-6  #: probability that is rounding
 #: last number of the seed of the states in which known effects are taken up
 STATE_SEED_PART = 1
 #: share of a parameter's variance between the answers from which they disagree
@@ -64,18 +62,14 @@ MIN_DISAGREEMENT_SHARE = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class UseOfMachine:
-    """Where, in which states and by which accuracy the machine is used.
+    """Where, in which states and by which accuracy the machine is used."""
 
-    command   (n, n_dof) commands, SI
-    session   states in which the readings were taken and the machine is used
-    wanted    errors to reach by component, SI
-    source    where the states of use are from: the study, or the readings
-    """
-
-    command: Array
+    command: Array  #: (n, n_dof) commands, SI
     reference: Reference
+    #: states in which the readings were taken and the machine is used
     session: SessionStates
-    wanted: Mapping[str, float]
+    wanted: Mapping[str, float]  #: errors to reach by component, SI
+    #: where the states of use are from: the study, or the readings
     source: str = "readings"
 
     def states(self) -> dict[str, Any]:
@@ -90,16 +84,12 @@ class UseOfMachine:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BestAnswer:
-    """What a compensation by the decision alone takes.
+    """What a compensation by the decision alone takes."""
 
-    theta      (n,) parameters, SI
-    corrected  the fit with its effects; None where it names none
-    plain      (n,) parameters of the fit without effects, SI
-    """
-
-    theta: Array
+    theta: Array  #: (n,) parameters, SI
+    #: the fit with its effects; None where it names none
     corrected: CorrectedEstimate | None
-    plain: Array
+    plain: Array  #: (n,) parameters of the fit without effects, SI
 
 
 def mixture_section(

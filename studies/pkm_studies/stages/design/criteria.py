@@ -65,7 +65,6 @@ class StudyCriteria:
         return self.error_maps
 
     # -- criteria ----------------------------------------------------------------------
-
     def candidates_criterion(self, name: str, candidates: Candidates) -> Criterion:
         """The criterion over the candidates' columns; "compound" is the study's own."""
         if name == "compound":
@@ -133,7 +132,6 @@ class StudyCriteria:
         return np.concatenate([of_parameters, of_effects], axis=2)
 
     # -- plans -------------------------------------------------------------------------
-
     def _rows(self, measurement: Measurement, series: Sequence[Series]) -> Array:
         """Whitened Jacobian (N, n) of readings over the scaled free parameters."""
         theta, scaling = measurement.nominal, self.table.scaling

@@ -197,8 +197,6 @@ def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series
 
 
 # -- thermal reference readings --------------------------------------------------------
-
-
 def _add_references(
     order: ReadingOrder, table: OrderTable, location: Location
 ) -> tuple[Series, float]:

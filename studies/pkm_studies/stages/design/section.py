@@ -32,9 +32,8 @@ from pkm_studies.stages.plan.plan import PlanOutcome, compute_plan
 from pkm_studies.stages.plan.task import EarlierSession
 from pkm_studies.stages.run_state import RunState, ScheduledT
 
+
 # Scores the chosen plan and the reference plans by the study's criterion.
-
-
 class _Plan(NamedTuple):
     """A plan to score: its name, measurement, and readings with their verdict."""
 
@@ -249,8 +248,6 @@ def planned_readings(
 
 
 # -- how good the plan is known to be --------------------------------------------------
-
-
 def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
     """The certificate, its scope, and what polishing added; without `shared` columns."""
     kind = "runs" if chosen.criteria.table.whole_runs else "readings"

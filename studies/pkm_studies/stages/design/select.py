@@ -42,9 +42,8 @@ from pkm_studies.stages.design import order
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.recording import PlanToRecord, recording_section
 
+
 # The time that a plan takes, and the plan section of a study without [plan].
-
-
 def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
     """Time to mount the set-ups and take the readings of a plan, s."""
     setups = dict.fromkeys(s.setup for s in series)
@@ -76,8 +75,6 @@ def single_stage_plan(
 
 
 # Candidates under the rules of a plan, with what judges it.
-
-
 @dataclasses.dataclass(frozen=True)
 class DesignSearch:
     """The criteria of a study's plan, and its candidates under the rules of a plan."""
@@ -178,8 +175,6 @@ class DesignSearch:
 
 
 # Polishes the chosen poses, and free settings of their set-ups, off the grid.
-
-
 @dataclasses.dataclass(frozen=True)
 class PolishedPlan:
     """Readings as polished, with their set-ups as moved."""
@@ -278,8 +273,6 @@ def _moved_settings(
 
 
 # Predicts accuracy against the number of readings, and the fewest that suffice.
-
-
 def accuracy_by_size(search: DesignSearch, chosen: Choice) -> HowManySummary | None:
     """The curve over the candidates, with bounds, and the fewest readings wanted.
 
@@ -440,8 +433,7 @@ def _scenarios(search: DesignSearch, count: int, rng: np.random.Generator) -> Ar
 
 # Chooses the readings of largest weight, and states the weights of the candidates.
 
-#: least weight that is stated
-MIN_STATED_WEIGHT = 1e-6
+MIN_STATED_WEIGHT = 1e-6  #: least weight that is stated
 
 
 def choose_relaxed(search: DesignSearch) -> tuple[Choice, RelaxedSummary]:
@@ -653,8 +645,6 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
 
 
 # A design that allows for effects, and what the plan without them would lose.
-
-
 def allowed_effects(
     resolved: ResolvedStudy, rng: np.random.Generator
 ) -> PlannedEffects | None:

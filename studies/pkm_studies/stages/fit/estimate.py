@@ -62,8 +62,6 @@ if TYPE_CHECKING:
 
 
 # Checks recorded readings, and reports it: the section `goodness` of the result.
-
-
 def check_dataset(
     resolved: ResolvedStudy, data: Dataset, rng: np.random.Generator
 ) -> CheckedSession:
@@ -111,8 +109,6 @@ def add_delivered(state: Measured, fitted: Goodness) -> Measured:
 
 
 # Reports the estimated noise law: `noise` of the section `goodness`.
-
-
 def with_noise(
     section: GoodnessSection, estimate: Estimate, setups: Mapping[str, Setup]
 ) -> GoodnessSection:
@@ -427,10 +423,8 @@ def combination_estimates(
 
 # Reports the sampled posterior: the section `posterior`.
 
-#: draws shown in the corner plot
-CORNER_DRAWS = 1500
-#: parameters that name a direction
-MAX_DIRECTION_PARAMETERS = 3
+CORNER_DRAWS = 1500  #: draws shown in the corner plot
+MAX_DIRECTION_PARAMETERS = 3  #: parameters that name a direction
 
 
 def posterior_section(
@@ -544,8 +538,6 @@ def _widest(
 
 
 # The step that checks recorded readings before anything is fitted to them.
-
-
 def check_readings(state: Measured) -> Measured:
     """Check the recorded readings that are fitted, and set single outliers aside."""
     readings, data = state.readings, state.resolved.dataset
@@ -580,8 +572,6 @@ def _drop_readings(
 
 
 # Steps that fit the readings: least squares, then the posterior.
-
-
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """Identify the parameters from `start` (n,), SI, or nominal, with tolerance priors."""
     readings, measurement = state.readings, state.measurement

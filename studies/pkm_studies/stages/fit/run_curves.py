@@ -24,22 +24,14 @@ if TYPE_CHECKING:
 
 # Lays out the residuals of a diagnosis run by run, and over the workspace.
 
-#: largest spread of a circle's radii, as a share of their mean
-MAX_SPREAD = 0.1
-#: largest height of a line, as a share of its length
-MAX_HEIGHT = 0.05
-#: least number of points of a circle or a line
-MIN_POINTS = 5
-#: tool points nearer than this are one place, m
-SAME_PLACE = 1e-4
-#: decimals of residuals
-DIGITS = 4
-#: decimals of positions
-PLACE_DIGITS = 3
-#: the unit of residuals given as multiples of the stated noise
-SIGMA = "sigma"
-#: m/s in a mm/min
-MM_PER_MIN = units.factor("mm") / units.factor("min")
+MAX_SPREAD = 0.1  #: largest spread of a circle's radii, as a share of their mean
+MAX_HEIGHT = 0.05  #: largest height of a line, as a share of its length
+MIN_POINTS = 5  #: least number of points of a circle or a line
+SAME_PLACE = 1e-4  #: tool points nearer than this are one place, m
+DIGITS = 4  #: decimals of residuals
+PLACE_DIGITS = 3  #: decimals of positions
+SIGMA = "sigma"  #: the unit of residuals given as multiples of the stated noise
+MM_PER_MIN = units.factor("mm") / units.factor("min")  #: m/s in a mm/min
 
 T = TypeVar("T")
 
@@ -210,24 +202,18 @@ def _rms(values: Array) -> float:
     return round(float(np.sqrt(np.mean(values**2))), DIGITS)
 
 
-#: half width of a 95 % interval, in standard deviations
-HALF_WIDTH = 1.96
-#: kinds of runs that are drawn along their way
-DRAWN = ("circle", "line")
+HALF_WIDTH = 1.96  #: half width of a 95 % interval, in standard deviations
+DRAWN = ("circle", "line")  #: kinds of runs that are drawn along their way
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReadingCurves:
-    """Readings (N,), SI, less those of the nominal machine, with standard deviations.
+    """Readings (N,), SI, less those of the nominal machine, with standard deviations."""
 
-    measured     taken
-    predicted    of the identified machine, and sd of a reading about it
-    compensated  predicted after compensation, with its sd; None where it is unknown
-    """
-
-    measured: Array
-    predicted: Array
+    measured: Array  #: taken
+    predicted: Array  #: of the identified machine, and sd of a reading about it
     sd: Array
+    #: predicted after compensation, with its sd; None where it is unknown
     compensated: Array | None = None
     compensated_sd: Array | None = None
 
@@ -307,8 +293,6 @@ def _reading_sd(
 
 
 # -- run by run ------------------------------------------------------------------------
-
-
 def run_curves(
     measurement: Measurement, series: Sequence[Series], curves: ReadingCurves
 ) -> Iterator[RunCurve]:

@@ -50,9 +50,8 @@ if TYPE_CHECKING:
 
     from oed.dataset import Dataset
 
+
 # Simulates readings of a virtual machine that has effects its model lacks.
-
-
 class CoefficientPrior(NamedTuple):
     """Prior standard deviation, SI; `shape`: it only lets the form adapt."""
 
@@ -193,8 +192,6 @@ def _truth_entry(
 
 
 # Chooses the runs of [gap.design], which separate the wanted effects best.
-
-
 def choose_runs(
     measurement: Measurement,
     design: GapDesignRequest,
@@ -280,8 +277,6 @@ def poses_csv(
 
 
 # Diagnoses readings of a study and writes the result's section `gap` of it.
-
-
 def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
     """The diagnosis in display units and in sentences."""
     channel_units, channels = _channels(diagnosis)
@@ -402,12 +397,9 @@ def _effect_columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:
 
 # Advises a second visit: its record in the result, its readings to fill in, its words.
 
-#: pairs of answers that are named, at most
-MAX_LISTED_PAIRS = 3
-#: probability from which the visit is expected to decide
-DECISIVE_PROBABILITY = 0.8
-#: gain in probability below which the visit is not worth its time
-MIN_GAIN = 0.02
+MAX_LISTED_PAIRS = 3  #: pairs of answers that are named, at most
+DECISIVE_PROBABILITY = 0.8  #: probability from which the visit is expected to decide
+MIN_GAIN = 0.02  #: gain in probability below which the visit is not worth its time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -506,8 +498,7 @@ def _spoken(answer: str) -> str:
 
 # Predicts which effects planned readings could find: the section `gap_before`.
 
-#: most effects and pairs in one sentence
-MAX_LISTED_EFFECTS = 6
+MAX_LISTED_EFFECTS = 6  #: most effects and pairs in one sentence
 
 
 def _fine_units(measurement: Measurement) -> dict[str, str]:

@@ -24,9 +24,8 @@ from oed.result import (
 )
 from oed.text import capitalised, format_probability, join_words, rounded
 
+
 # Names of effects in words.
-
-
 def plain_name(effect: str) -> str:
     """An effect's name as a person says it: `leg_thermal` -> leg thermal."""
     return (
@@ -35,8 +34,6 @@ def plain_name(effect: str) -> str:
 
 
 # Sentences of a diagnosis about noise: how it departs from the stated one.
-
-
 def scatter_sentences(gap: GapSection, factor: float) -> list[str]:
     """That readings scatter beyond the instrument, and how."""
     if gap.scatter_against in ("", GapSection.DATA_SHEET):
@@ -185,8 +182,7 @@ def _minutes(seconds: str) -> str:
 
 # Explanations of a gap beside the best one: how probable they are, in sentences.
 
-#: probability from which a second explanation is named
-MIN_SECOND = 0.1
+MIN_SECOND = 0.1  #: probability from which a second explanation is named
 
 
 def probability_of_causes(gap: GapSection) -> float:
@@ -374,8 +370,7 @@ SECOND_SESSION = (
 )
 #: difference between the probabilities of parts of an answer from which each is given
 WORTH_SAYING = 0.01
-#: effective number of noise laws below which probabilities are rough
-FEW_LAWS = 1.5
+FEW_LAWS = 1.5  #: effective number of noise laws below which probabilities are rough
 #: what to record for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -600,8 +595,6 @@ def _few_laws(gap: GapSection) -> list[str]:
 
 
 # -- what could not be tested, and what next -------------------------------------------
-
-
 def _untested(gap: GapSection) -> list[str]:
     """Effects that lack a column; those that do not fit the machine are left out."""
     by_column: dict[str, list[str]] = {}

@@ -24,8 +24,7 @@ from pkm_studies.tables import DesignTable
 
 # Targets out of reach: how far the best plan misses them, what would reach them.
 
-#: beam of the searches
-NARROW_SHARE = 2
+NARROW_SHARE = 2  #: beam of the searches
 
 
 def describe_needs(task: PlanTask, search: PlanSearchResult) -> list[str]:
@@ -112,8 +111,7 @@ def _all_missed(task: PlanTask, covariance: Array) -> str:
 # A sequence takes all readings of each measurement. Where they take longer than the
 # budget, it takes the best readings within it.
 
-#: share by which times and values may differ and count as the same
-SAME_VALUE = 1e-6
+SAME_VALUE = 1e-6  #: share by which times and values may differ and count as the same
 
 
 def compare_sequence(
@@ -223,8 +221,6 @@ def _sentence(
 
 
 # The plan for a machine without effects, on a machine that has them.
-
-
 def compare_without_effects(
     task: PlanTask,
     best: StagePlan,
@@ -310,14 +306,10 @@ def _words(
 
 # Other sequences of measurements, each with the reason why it is not the plan.
 
-#: largest number of measurements that are left out of the plan in turn
-LEFT_OUT = 4
-#: share of lost readings from which a reason mentions it
-MIN_LOST = 0.05
-#: relative difference of accuracy that counts as none
-TIE_TOLERANCE = 5e-4
-#: beam of the searches
-BEAM_WIDTH = 2
+LEFT_OUT = 4  #: largest number of measurements that are left out of the plan in turn
+MIN_LOST = 0.05  #: share of lost readings from which a reason mentions it
+TIE_TOLERANCE = 5e-4  #: relative difference of accuracy that counts as none
+BEAM_WIDTH = 2  #: beam of the searches
 
 
 def list_alternatives(
@@ -394,8 +386,7 @@ def _accuracy_difference(plan: StagePlan, best: StagePlan) -> str:
     return "as accurate"
 
 
-#: relative gain below which a further measurement does not help
-NO_GAIN = 5e-4
+NO_GAIN = 5e-4  #: relative gain below which a further measurement does not help
 
 
 def compute_plan(
@@ -451,8 +442,6 @@ def _search(task: PlanTask, progress: Progress) -> PlanSearchResult:
 
 
 # -- virtual machines through the plan -------------------------------------------------
-
-
 def add_realisations(
     task: PlanTask,
     plan: StagePlan,
@@ -480,8 +469,6 @@ def add_realisations(
 
 
 # -- where to stop ---------------------------------------------------------------------
-
-
 def drop_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
     """The best plan without last stages of little worth, or nearly as good a shorter one."""
     best = search.best
@@ -533,8 +520,6 @@ def _small_stages(task: PlanTask, longer: StagePlan, best: StagePlan) -> str:
 
 
 # Phrases about plans: shares, factors and differences of time.
-
-
 def percent(share: float) -> str:
     """A share in percent, with one decimal below 10 %."""
     return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %"
@@ -578,8 +563,6 @@ def accuracies(values: Mapping[str, float]) -> str:
 
 
 # -- the plan in headline sentences ----------------------------------------------------
-
-
 def plan_sentences(section: result.PlanSection | None) -> list[str]:
     """The plan as headline sentences; none where it was not searched for."""
     if section is None or section.value is None or not section.stages:
@@ -618,17 +601,12 @@ MAX_SD_RATIO = 0.95
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlanOutcome:
-    """The plan with its readings in working order.
+    """The plan with its readings in working order."""
 
-    section      of the result
-    measurement  with all set-ups of the plan
-    series       all readings
-    scheduled    readings of each stage, thermal references among them
-    """
-
-    section: result.PlanSection
-    measurement: Measurement
-    series: tuple[Series, ...]
+    section: result.PlanSection  #: of the result
+    measurement: Measurement  #: with all set-ups of the plan
+    series: tuple[Series, ...]  #: all readings
+    #: readings of each stage, thermal references among them
     scheduled: tuple[tuple[Series, ...], ...]
 
 

@@ -20,8 +20,7 @@ from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.forecast import EstimatedParameters
 from pkm_studies.tables import PlanTable
 
-#: a loss that any plan keeps: its bound is a single line
-ANY_LOSS = 1e6
+ANY_LOSS = 1e6  #: a loss that any plan keeps: its bound is a single line
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,24 +93,17 @@ def build_task(
 
 
 # Knowledge from an earlier session: identified machine, covariance, time spent.
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EarlierSession:
-    """What an earlier session tells a plan.
+    """What an earlier session tells a plan."""
 
-    resolved    the study about the machine as identified, without measurements done
-    plan        what [plan] then requests
-    covariance  (n, n) of the machine's free parameters, in units of their tolerances
-    seconds     time that the session took
-    words       the same as a sentence
-    """
-
+    #: the study about the machine as identified, without measurements done
     resolved: ResolvedStudy
-    plan: PlanRequest
+    plan: PlanRequest  #: what [plan] then requests
+    #: (n, n) of the machine's free parameters, in units of their tolerances
     covariance: Array
-    seconds: float
-    words: str
+    seconds: float  #: time that the session took
+    words: str  #: the same as a sentence
 
 
 def read_earlier_session(

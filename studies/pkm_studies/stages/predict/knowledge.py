@@ -78,19 +78,13 @@ class ParameterKnowledge:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ActingEffects:
-    """Effects that act on the machine beside its parameters.
+    """Effects that act on the machine beside its parameters."""
 
-    columns  what they do per unit of each coefficient
-    session  the states in which they acted
-    theta    (n,) parameters about which their maps hold, SI
-    draws    (m, k) of the coefficients, one for each draw of the parameters
-    known    maps that several predictions share; drawn anew by default
-    """
-
-    columns: ExpectedColumns
-    session: SessionStates
-    theta: Array
-    draws: Array
+    columns: ExpectedColumns  #: what they do per unit of each coefficient
+    session: SessionStates  #: the states in which they acted
+    theta: Array  #: (n,) parameters about which their maps hold, SI
+    draws: Array  #: (m, k) of the coefficients, one for each draw of the parameters
+    #: maps that several predictions share; drawn anew by default
     known: ErrorMaps | None = None
 
     def maps(

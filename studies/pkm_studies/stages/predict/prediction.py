@@ -59,9 +59,8 @@ from pkm_studies.stages.run_state import (
 )
 from pkm_studies.tables import PredictionTable
 
+
 # Reports the predicted accuracy over the workspace: the section `prediction`.
-
-
 def add_realised(
     section: PredictionSection, realised: Mapping[str, Spread] | None
 ) -> PredictionSection:
@@ -288,10 +287,8 @@ def _usual(
 # that before it contradicts the fit where few draws have a larger one, and confirms it
 # where few draws of the nominal numbers have a smaller one.
 
-#: ends of a 95 % interval
-INTERVAL = (0.025, 0.975)
-#: share of draws that are rarer than chance
-RARE_SHARE = 0.01
+INTERVAL = (0.025, 0.975)  #: ends of a 95 % interval
+RARE_SHARE = 0.01  #: share of draws that are rarer than chance
 READ_AGAIN = (
     "Either they were read with other numbers in the machine than stated, such as a bed"
     " mesh probed before the last calibration was saved, or the fit is wrong: read them"
@@ -301,17 +298,12 @@ READ_AGAIN = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HypothesisDraws:
-    """Draws of the machine by one fit.
+    """Draws of the machine by one fit."""
 
-    estimate  the fit
-    theta     (m, n) parameters, SI
-    law       (m, d) coordinates of the noise law
-    changes   (m, N) of the held-out readings by effects, SI; None without
-    """
-
-    estimate: Estimate
-    theta: Array
-    law: Array
+    estimate: Estimate  #: the fit
+    theta: Array  #: (m, n) parameters, SI
+    law: Array  #: (m, d) coordinates of the noise law
+    #: (m, N) of the held-out readings by effects, SI; None without
     changes: Array | None = None
 
     def readings(self, measurement: Measurement, series: Series, start: int) -> Array:
@@ -434,19 +426,15 @@ def _channel_kind(measurement: Measurement, name: str) -> tuple[str, str]:
 class HeldOutComparison:
     """Readings of one channel against a fit and against the nominal numbers, SI.
 
-    residual  (n,) reading minus the centre of the prediction
-    before    (n,) reading minus what the nominal numbers give
     low, high (n,) ends of the 95 % intervals of the residual
-    draws     (m, n) predicted residuals
-    noise     (m, n) their noise alone
     """
 
-    residual: Array
-    before: Array
+    residual: Array  #: (n,) reading minus the centre of the prediction
+    before: Array  #: (n,) reading minus what the nominal numbers give
     low: Array
     high: Array
-    draws: Array
-    noise: Array
+    draws: Array  #: (m, n) predicted residuals
+    noise: Array  #: (m, n) their noise alone
 
     def take(self, members: slice) -> HeldOutComparison:
         """The comparison of some readings."""
@@ -522,8 +510,7 @@ def _mean_square(values: Array) -> Array:
 
 # Checks a prediction on virtual machines: read, identified, compensated, measured.
 
-#: machines that go through the check together
-MACHINES_AT_ONCE = 200
+MACHINES_AT_ONCE = 200  #: machines that go through the check together
 
 
 def _draw_machines(
@@ -548,8 +535,7 @@ def _draw_machines(
 
 # Steps that predict: accuracy over the workspace, and held-out readings.
 
-#: draws used for predictive intervals
-PREDICTIVE_DRAWS = 2000
+PREDICTIVE_DRAWS = 2000  #: draws used for predictive intervals
 
 
 def predict_accuracy(state: ScheduledT) -> ScheduledT:

@@ -16,10 +16,8 @@ from pkm_studies import files
 from pkm_studies.base import InputError, Location, SourceAbsentError
 from pkm_studies.csv_table import named_errors
 
-#: bytes of the largest file
-MAX_BYTES = 20_000_000
-#: cells of a row, by column
-Row = dict[str, str]
+MAX_BYTES = 20_000_000  #: bytes of the largest file
+Row = dict[str, str]  #: cells of a row, by column
 REMEDY = "take the file as published"
 
 
