@@ -50,8 +50,6 @@ def ceiling(blocks: np.ndarray, weights: np.ndarray, size: int) -> float:
 
 
 # -- rows of random numbers ------------------------------------------------------------
-
-
 def test_problem_a_by_d():
     """30 of 2000 x 21: plan, bound, and how tight the bound is as a relaxation."""
     rows = rows_a()
@@ -80,7 +78,6 @@ def test_twenty_thousand_candidates_are_certified():
 
 
 # -- poses of a hexapod ----------------------------------------------------------------
-
 #: the relaxation by Clarabel through cvxpy, from columns turned to the
 #: unit matrix
 CLARABEL = 263.13586
@@ -116,8 +113,6 @@ def test_problem_cs_noise_is_full():
 
 
 # -- the A3 head by several criteria ---------------------------------------------------
-
-
 def of_a3(rows: np.ndarray) -> dict[str, float]:
     """A plan by each criterion, over the 18 directions seen."""
     s = np.linalg.svd(rows, compute_uv=False)[:18]
@@ -163,8 +158,6 @@ def test_a3_designs_are_best_in_their_own_criterion():
 
 
 # -- other packages --------------------------------------------------------------------
-
-
 def test_values_of_other_packages_are_computed_here():
     rows = rows_a()
     chosen = np.random.default_rng(5).permutation(2000)[:30]

@@ -21,9 +21,8 @@ from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
+
 # -- intervals -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("hits", "count"), [(0, 73), (1, 75), (37, 40), (40, 40), (3, 4)]
 )
@@ -54,7 +53,6 @@ def test_mean_interval_is_students():
 
 
 # -- measures --------------------------------------------------------------------------
-
 CLEAR = {
     "effect": "backlash",
     "listed": True,
@@ -140,8 +138,6 @@ def test_a_label_without_closures_and_runs_asks_for_none():
 
 
 # -- campaign and table ----------------------------------------------------------------
-
-
 def test_the_campaign_keeps_labels_and_its_table_is_printed(
     tmp_path, monkeypatch, capsys
 ):
@@ -186,8 +182,6 @@ def test_the_campaign_keeps_labels_and_its_table_is_printed(
 
 
 # -- baseline --------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def a3_case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     """A case of the A3's full plan, whose readings give the slopes."""

@@ -5,8 +5,7 @@ import pytest
 from benchmarks.harness.processes import alone
 from benchmarks.long_traces import diagnose_once
 
-#: most memory of a process, MiB, with Python and all libraries
-MOST = 2048.0
+MOST = 2048.0  #: most memory of a process, MiB, with Python and all libraries
 
 
 @pytest.mark.slow

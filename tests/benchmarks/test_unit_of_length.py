@@ -26,8 +26,7 @@ from pkm_studies.resolve import GapRequest
 BY_NIGHT = ("hexapod_ups", "cables_planar", "tripod_rps")
 FAMILIES = ["delta", *(pytest.param(n, marks=pytest.mark.slow) for n in BY_NIGHT)]
 FACTOR = 1000.0
-#: units of length at the end of a field's name
-LENGTHS = ("um", "mm", "m", "mm_min")
+LENGTHS = ("um", "mm", "m", "mm_min")  #: units of length at the end of a field's name
 #: expected sizes of effects, um
 SIZES = {
     "backlash": 10.0, "bar_length": 10.0, "drum_runout": 50.0,
@@ -121,7 +120,6 @@ def _times(value: Any, factor: float) -> Any:
 
 
 # -- machines that are read in every way -----------------------------------------------
-
 #: six paths both ways in two hours, with all that can be written down
 PLAN = sessions.Plan(
     runs=6,

@@ -13,10 +13,8 @@ from sample import refused, resolved
 from oed.result import StudyResult
 from pkm_studies.commands import main
 
-#: E A of the cables, N; tensions, N
-STIFFNESS, LOW, HIGH = 2.0e4, 20.0, 200.0
-#: m, noise of one drum
-DRUM = 0.3e-3
+STIFFNESS, LOW, HIGH = 2.0e4, 20.0, 200.0  #: E A of the cables, N; tensions, N
+DRUM = 0.3e-3  #: m, noise of one drum
 READINGS = 60
 
 

@@ -146,19 +146,15 @@ def reported(result: dict[str, Any], when: str) -> Array:
 
 
 class Outcome(NamedTuple):
-    """Rms errors (3,) of one machine over the workspace, in um and arcsec.
-
-    exact  after round 2, under the parameters of result.json
-    table  after round 2, under the exported table of joint corrections
-    """
+    """Rms errors (3,) of one machine over the workspace, in um and arcsec."""
 
     at_first: Array
     after_1: Array
     says_1: Array
     after_2: Array
     says_2: Array
-    exact: Array
-    table: Array
+    exact: Array  #: after round 2, under the parameters of result.json
+    table: Array  #: after round 2, under the exported table of joint corrections
 
 
 def two_rounds(seed: int, folder: Path) -> Outcome:
@@ -207,7 +203,6 @@ def test_two_rounds_converge(tmp_path):
 
 
 # -- Tian et al. (2016), sections 5.2 and 5.3: home errors in three rounds, then all -----
-
 PAPER_STUDY = """
 schema = 1
 name = "tian"

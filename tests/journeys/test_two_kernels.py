@@ -29,14 +29,12 @@ STUDY = (
     "[prediction]\nvirtual_machines = 20\n"
     'z_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = [10.0, 20.0]\nreference = "home"\n'
 )
-#: kernels of very different instructions
-KERNELS = ("Nehalem", "Haswell")
+KERNELS = ("Nehalem", "Haswell")  #: kernels of very different instructions
 #: what rounding may change: relative, and beside it of numbers that are nothing
 RELATIVE, ABSOLUTE = 1e-5, 1e-9
 #: the same of statistics of ranks, which two draws that change places move
 RANKED = {"ess": 1e-4, "rhat": 1e-4}
-#: keys whose numbers are of no computation
-ASIDE = ("seconds", "written")
+ASIDE = ("seconds", "written")  #: keys whose numbers are of no computation
 
 
 def _is_dynamic() -> bool:

@@ -68,8 +68,7 @@ OTHERS = {
 }
 #: numbers beside a unit that is not theirs: a probability, and a total error
 WITHOUT = ("power", "without")
-#: share by which printed digits may differ
-ROUNDING = 0.06
+ROUNDING = 0.06  #: share by which printed digits may differ
 LENGTHS = ("nm", "um", "mm")
 ANGLES = ("urad", "mrad", "arcsec", "deg")
 FACTOR = {unit: units.factor(unit) for unit in (*LENGTHS, *ANGLES)}

@@ -16,12 +16,10 @@ from oracles import planar_geometry
 
 #: sizes of what is drawn: sag of a leg under its share, bow, wave, parameters, m
 SAG, BOW, WAVE, LEFT = 40e-6, 20e-6, 8e-6, 10e-6
-#: step of the virtual work, m
-STEP = 1e-5
+STEP = 1e-5  #: step of the virtual work, m
 LEVEL = np.eye(3)
 
-#: points (n, 3) and rotations (n, 3, 3)
-Frames = tuple[NDArray, NDArray]
+Frames = tuple[NDArray, NDArray]  #: points (n, 3) and rotations (n, 3, 3)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -58,8 +58,6 @@ def _upright(x: Array) -> NDArray[np.bool_]:
 
 
 # -- hexapods and tripods --------------------------------------------------------------
-
-
 def hexapod_ups(rng: np.random.Generator) -> Geometry:
     """Base and platform with six joints in pairs."""
     size = drawn_size(rng)
@@ -163,8 +161,6 @@ def delta(rng: np.random.Generator) -> Geometry:
 
 
 # -- cranks and glides -----------------------------------------------------------------
-
-
 def rotary_delta(rng: np.random.Generator) -> Geometry:
     """A rotary delta whose limbs differ in all that a limb has."""
     size = drawn_size(rng)
@@ -221,8 +217,6 @@ def pentapod(rng: np.random.Generator) -> Geometry:
 
 
 # -- verdicts --------------------------------------------------------------------------
-
-
 def _legs(geometry: Geometry, x: Array, q: Array) -> Verdict:
     v = _joints(geometry, x) - geometry["base"]
     return np.linalg.norm(v, axis=2) - q, _upright(x)

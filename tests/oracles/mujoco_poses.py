@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: body and point on it (3,), twice
-Loop = tuple[int, Array, int, Array]
+Loop = tuple[int, Array, int, Array]  #: body and point on it (3,), twice
 
 
 def connections(mujoco: Any, model: Any) -> list[Loop]:

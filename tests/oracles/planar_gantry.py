@@ -26,14 +26,11 @@ TOOL = 0.70  # m, tool point below the lower joints
 
 @dataclasses.dataclass(frozen=True)
 class Gantry:
-    """One machine: p (7,) of `planar_geometry`, and how it yields.
-
-    mismatch  (2, 2) excess length of the struts, side by lower and upper, m
-    factors   (4,) on weight, struts' compliance, drives' compliance, columns' lean
-    """
+    """One machine: p (7,) of `planar_geometry`, and how it yields."""
 
     p: NDArray
-    mismatch: NDArray
+    mismatch: NDArray  #: (2, 2) excess length of the struts, side by lower and upper, m
+    #: (4,) on weight, struts' compliance, drives' compliance, columns' lean
     factors: NDArray
 
     def pose(self, q: NDArray) -> NDArray:

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 D, L = 3.584, 3.350  # m, section 2.2
 NOMINAL = np.array([D, 0.0, 0.0, L, L, 0.0, 0.0])
-#: section 2.3.3: lines and places on them, m
-Y = np.arange(-5, 6) * 0.3
+Y = np.arange(-5, 6) * 0.3  #: section 2.3.3: lines and places on them, m
 Z = np.arange(6) * 0.3
 LEVELS = (0.0, 0.750, 1.500)
 SIDES = (-1.500, 0.0, 1.500)

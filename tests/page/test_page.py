@@ -16,9 +16,8 @@ from pkm_page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions import Adviser
 from pkm_studies.study import Study
 
+
 # -- measuring -------------------------------------------------------------------------
-
-
 def test_page_and_command_decide_alike(machine, page_study):
     """After each reading, `oed next` on the page's file says the same pose and figures."""
     opened, client, operator = machine
@@ -141,8 +140,6 @@ def test_a_broken_file_is_told_and_taken_up_again(machine):
 
 
 # -- two at once -----------------------------------------------------------------------
-
-
 def test_two_pages_never_write_one_reading_twice(machine):
     """Both send for the same state at once: one is taken, the other is told."""
     opened, client, operator = machine
@@ -210,8 +207,6 @@ def test_pages_hear_of_each_reading(machine):
 
 
 # -- slips of the hand -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("text", "words"), [
     ("-300.12", "300.12 would fit: is the sign reversed?"),
     ("30.012", "300.12 would fit: is the decimal point misplaced?"),
@@ -226,8 +221,6 @@ def test_a_slip_is_named(text, words):
 
 
 # -- poses that cannot be driven to ----------------------------------------------------
-
-
 def test_a_skipped_pose_is_advised_no_more(machine, page_study):
     """Neither by the page nor by the command, before and after readings; it can be undone."""
     opened, client, operator = machine

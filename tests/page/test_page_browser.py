@@ -28,10 +28,8 @@ from pkm_studies.sessions import Adviser
 from pkm_studies.study import Study
 
 SIZES = {390: 844, 820: 1180, 1440: 900}
-#: processor time from an entry to the new state, s
-MAX_SECONDS = 0.8
-#: sudden ends of the server
-KILLS = 50
+MAX_SECONDS = 0.8  #: processor time from an entry to the new state, s
+KILLS = 50  #: sudden ends of the server
 
 
 @pytest.fixture
@@ -211,8 +209,6 @@ def test_from_sizes_to_the_first_reading(opened, tmp_path):
 
 
 # -- sudden ends -----------------------------------------------------------------------
-
-
 def started(study: Path, path: Path) -> tuple[subprocess.Popen[str], Client]:
     """`oed serve` in a process of its own, and a client of it."""
     command = [sys.executable, "-m", "pkm_studies.commands.cli", "serve", str(study)]

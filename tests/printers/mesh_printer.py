@@ -20,8 +20,7 @@ TRIGGER = 12.5
 #: the geometry of the firmware, in the arguments of the oracle; mm, rad
 ARMS, ANGLES = np.full(3, 217.0), np.radians([210.0, 330.0, 90.0])
 FIRMWARE = (98.0, ARMS, ANGLES, np.full(3, 251.0))
-#: nodes of a round mesh, mm
-NODES = np.linspace(-80.0, 80.0, 9)
+NODES = np.linspace(-80.0, 80.0, 9)  #: nodes of a round mesh, mm
 ANGLES_OF_SIX = np.radians(np.arange(0.0, 360.0, 60.0))
 HEADER = """\
 #*# <---------------------- SAVE_CONFIG ---------------------->

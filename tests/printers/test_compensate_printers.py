@@ -66,8 +66,6 @@ def test_adjustments_are_those_that_every_version_takes(oed, delta_folder):
 
 
 # -- versions of Marlin ----------------------------------------------------------------
-
-
 def letters(folder: Path) -> set[str]:
     """Letters of M665 in the export of a folder."""
     return set(marlin.words_of(written(folder, "marlin"), "M665")[0])
@@ -137,8 +135,6 @@ def test_the_height_at_home_is_that_of_the_version(
 
 
 # -- the family of deltas --------------------------------------------------------------
-
-
 def family(**changes: float) -> np.ndarray:
     """A delta with a radius for each tower, all alike, and upright towers."""
     machine = delta_family.machine

@@ -17,8 +17,7 @@ from pkm_studies.commands import main
 from pkm_studies.importers import import_files
 
 ARMS = (217.0, 217.0, 217.0)
-#: radius of a printer that no study describes, mm, and its true geometry
-RADIUS = 98.0
+RADIUS = 98.0  #: radius of a printer that no study describes, mm, and its true geometry
 TRUE = Delta(98.6, ARMS, np.radians([210.3, 329.8, 90.0]), (251.4, 250.7, 250.9))
 STEP = 40.0 / (200.0 * 16.0)
 POINTS = [(0.0, 0.0)] + [

@@ -52,8 +52,6 @@ NEW += "M665 L250 R125 H300 A0 B0 C0\n"
 
 
 # -- B of M665 -------------------------------------------------------------------------
-
-
 def test_a_calibration_radius_is_no_trim_of_a_rod(tmp_path):
     study, imported = take("marlin", {"log": OLD_LOG}, tmp_path)
     assert [nominal(study)[f"arm{i}_mm"] for i in (1, 2, 3)] == [217.0] * 3
@@ -109,8 +107,6 @@ def test_a_b_that_could_be_any_is_asked_for(tmp_path):
 
 
 # -- M666 ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("version", "wanted"),
     [
@@ -158,8 +154,6 @@ def test_a_value_above_zero_does_what_the_version_does(version, tmp_path):
 
 
 # -- home ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("version", marlin.VERSIONS, ids=lambda v: v.version)
 def test_home_is_where_the_version_has_it(version, tmp_path):
     """Contacts without noise: the fit finds the real switches, M851 Z and all."""
@@ -255,8 +249,6 @@ def test_a_height_that_is_not_known_stays_that_of_the_firmware(tmp_path):
 
 
 # -- geometry that changes, and what is compiled in ------------------------------------
-
-
 @pytest.mark.parametrize(
     "form", ["Bed x: {} y: {} z: {}", "Bed Position X: {} Y: {} Z: {}"]
 )
@@ -300,8 +292,6 @@ def test_trims_of_the_radii_are_given_in_a_line_and_stay(tmp_path):
 
 
 # -- G33 -------------------------------------------------------------------------------
-
-
 def check_fit(study: Path, wanted: Delta, tolerance: float) -> None:
     value = fitted(study)
     for name, number in fit.numbers(wanted).items():

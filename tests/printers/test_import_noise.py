@@ -21,8 +21,6 @@ def marlin_log(real: Delta, sigma: float, count: int, seed: int) -> str:
 
 
 # -- an assumed noise ------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("sigma", "count"), [(0.01, 18), (0.3, 18), (0.01, 10), (0.02, 60)]
 )
@@ -73,8 +71,6 @@ def test_an_assumed_noise_is_said_first(tmp_path):
 
 
 # -- readings that an importer wrote itself ---------------------------------------------
-
-
 def test_no_display_is_frozen_in_clean_imports(tmp_path, capsys):
     """Printers of all firmwares, two of three calibrated to the last digit."""
     rng = np.random.default_rng(3)

@@ -75,8 +75,6 @@ def check(study: Path, wanted: fit.Delta, tolerance: float) -> None:
 
 
 # -- places and bed --------------------------------------------------------------------
-
-
 def test_a_probe_beside_the_nozzle_touches_where_the_nozzle_is_not(tmp_path):
     study, imported = take("rrf", FILES, tmp_path)
     assert float(imported.rows[1]["x_mm"]) == pytest.approx(46.28)
@@ -134,7 +132,6 @@ def test_the_place_of_the_probe_is_that_of_the_moment(tmp_path):
 
 
 # -- which values are in force ---------------------------------------------------------
-
 STORED = "M665 L242.5 R124.5 H260.519 B120 X0 Y0 Z0\nM666 X0.1 Y0 Z-0.1 A0.00 B0.00\n"
 
 
@@ -229,8 +226,6 @@ def test_what_a_loop_changes_is_refused(lines, tmp_path):
 
 
 # -- files that mislead ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("name", "old", "new", "words"), [
     ("log.txt", "G32 bed", "Calibrated 6 factors using 10 points\nG32 bed", "config-override"),
     ("bed.g", "G30 P3 X0.00 ", "G30 P3 ", "G30 X.*point 3 has no X"),

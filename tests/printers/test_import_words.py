@@ -14,7 +14,6 @@ from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, import_files
 
 # -- one file of each firmware that has everything an import needs ----------------------
-
 STEPPER = """\
 [stepper_{}]
 microsteps: 16
@@ -76,9 +75,8 @@ REPORT = (
     ".                 yz:+0.03  zx:-0.04  xy:+0.11\n"
 )
 
+
 # -- the words that each documents ------------------------------------------------------
-
-
 def listed(text: str) -> list[str]:
     return text.split()
 
@@ -172,8 +170,6 @@ def outcome(
 
 
 # -- Klipper ---------------------------------------------------------------------------
-
-
 def with_option(section: str, key: str, value: str) -> str:
     """The configuration with one option set in its section."""
     before, head, after = KLIPPER.partition(f"[{section}]\n")
@@ -249,8 +245,6 @@ def test_other_sections_and_files_are_listed(tmp_path):
 
 
 # -- commands --------------------------------------------------------------------------
-
-
 def number_of(text: str, command: str, letter: str) -> str | None:
     line = re.search(rf"\b{command}\b([^\n;]*)", text)
     match = line and re.search(rf"\s{letter}(-?[\d.]+)", line[1])

@@ -23,8 +23,7 @@ from pkm_studies.results import load_result
 from printers.delta_printer import compensate, said, take, with_known_noise
 
 NOISE, LEAN, REACH = 0.015, 3.5e-3, 100.0
-#: tip of the probe from the nozzle, mm
-PROBE = np.array([25.0, 0.0, -1.5])
+PROBE = np.array([25.0, 0.0, -1.5])  #: tip of the probe from the nozzle, mm
 CONFIG = "M669 K3\nM665 L300.0 R150.0 H350.0 B120 X0 Y0 Z0\nM666 X0 Y0 Z0 A0 B0\n"
 PLACES = spiral(24, REACH)
 
@@ -97,7 +96,6 @@ def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(tmp_path)
 
 
 # -- the choice of factors, and what few heights hide ----------------------------------
-
 #: a level printer of the oracle's deltas, whose bed leans
 LEANING = delta(150.3, 300.0, [210.2, 329.9, 90.0], [350.2, 349.8, 350.1], (0.0, -LEAN))
 
@@ -184,8 +182,6 @@ def test_a_lean_goes_where_a_firmware_has_a_word_for_it(tmp_path, capsys):
 
 
 # -- heights of the nozzle beside those of the probe -----------------------------------
-
-
 def test_heights_of_klipper_s_nozzle_are_a_set_up_of_their_own(tmp_path):
     """Heights by hand tell the tilts of the effector from the lean of the bed."""
     real = printer(np.random.default_rng(5))

@@ -7,8 +7,7 @@ import pytest
 from pkm_printers import facts, gcode, klipper_config
 from pkm_studies.base import InputError
 
-#: s; this took minutes where time grew with the square
-SOON = 5.0
+SOON = 5.0  #: s; this took minutes where time grew with the square
 
 
 def test_lines_of_blanks_and_brackets_take_no_longer_than_others(tmp_path):

@@ -62,8 +62,6 @@ def reach_error(firmware: Firmware, real: Delta) -> float:
 
 
 # -- Klipper ---------------------------------------------------------------------------
-
-
 def test_klipper(tmp_path):
     """Heights of independent noise: Klipper's fit of the file is no better."""
     firmware = Klipper(example(probe=(20, -5, 2.5)))
@@ -101,7 +99,6 @@ def test_klipper_of_a_fork_that_trims_radii(tmp_path):
 
 
 # -- RepRapFirmware --------------------------------------------------------------------
-
 CONFIG = """\
 M665 L{rods} R110.0 H260.0 B100.0 X0 Y0 Z0
 M666 X0 Y0 Z0{tilt}
@@ -168,7 +165,6 @@ def check_rrf(files: dict[str, str], real: Delta, probe: Probe, folder: Path) ->
 
 
 # -- Marlin ----------------------------------------------------------------------------
-
 SETTINGS = "M665 L250 R110 H260\nM666 X-0.5 Y-0.4 Z-0.3\nM851 X18 Y-8 Z-2.5\n"
 
 
@@ -239,8 +235,6 @@ def test_marlin_g33(words, offset, tmp_path):
 
 
 # -- from one firmware to another ------------------------------------------------------
-
-
 def test_the_height_at_home_holds_on_another_firmware(tmp_path):
     """Marlin counts H to the probe, or goes further from the switches; others do not."""
     real = printer()

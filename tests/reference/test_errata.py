@@ -57,8 +57,6 @@ def errors(
 
 
 # -- A3: what one bar at one tool point cannot see ------------------------------------
-
-
 @pytest.mark.parametrize("taught", [True, False])
 @pytest.mark.parametrize("circles", [2, 3, 4, 5])
 def test_dropping_da01x_does_not_make_h_regular(taught, circles):
@@ -195,8 +193,6 @@ def test_table_3_has_a_part_that_no_bar_reading_backs():
 
 
 # -- A3: the linear compensator --------------------------------------------------------
-
-
 @pytest.mark.parametrize(("theta_deg", "left"), [
     ([5, 15, 25, 35], [0.234e-3, 0.98e-3, 0.61e-3]),
     ([2], [0.040e-3, 2.37e-3, 0.094e-3]),
@@ -220,8 +216,6 @@ def test_one_step_of_eq_24_leaves_tenths_of_a_millimetre(theta_deg, left):
 
 
 # -- the page --------------------------------------------------------------------------
-
-
 def test_the_tests_that_the_page_names_are_there():
     page = (ROOT / "docs" / "errata.md").read_text(encoding="utf-8")
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page)

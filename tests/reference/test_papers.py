@@ -35,8 +35,6 @@ def rank(h: np.ndarray) -> int:
 
 
 # -- claims and tests that the page names ----------------------------------------------
-
-
 def test_every_row_has_a_verdict_and_something_that_does_it():
     assert len(rows()) == 50
     for number, (_, does_it, *_, verdict) in rows().items():
@@ -72,8 +70,6 @@ def test_every_test_that_the_page_names_exists():
 
 
 # -- independent values ----------------------------------------------------------------
-
-
 def bar_rows(strokes: list[float], points: int) -> np.ndarray:
     """Rows of the bar, Eq. (12), with the parameters of Eq. (17) and the cup."""
     return a3.approach_1(strokes, points)[6:, EQ17_AND_CUP]

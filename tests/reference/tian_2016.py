@@ -3,11 +3,9 @@ bar, Mech. Mach. Theory 102, 167-178, and what follows from its equations by two
 derivations that share no code (the toolkit's and the oracle's).
 """
 
-#: Table 1, m
-A, B, C, D = 0.250, 0.250, 0.526, 0.540
+A, B, C, D = 0.250, 0.250, 0.526, 0.540  #: Table 1, m
 BAR = 0.300
-#: height of the fixed ball that reproduces Table 2, m
-TEACH_Z = C + D + 0.220
+TEACH_Z = C + D + 0.220  #: height of the fixed ball that reproduces Table 2, m
 
 #: Table 2: stroke (m) -> smallest and largest theta over the circle, deg
 TABLE_2 = {0.080: (28.41, 32.85), 0.200: (32.18, 38.34)}

@@ -48,8 +48,7 @@ PAGES = [
 GALLERY = sorted(
     p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_")
 )
-#: examples that take more than ten seconds
-LONG = {"a3_gap"}
+LONG = {"a3_gap"}  #: examples that take more than ten seconds
 BLOCK = re.compile(r"^```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)")
 CODE_SPAN = re.compile(r"`[^`\n]+`")
@@ -271,8 +270,6 @@ def test_every_test_that_the_errata_name_exists():
 
 
 # -- fields of a study -----------------------------------------------------------------
-
-
 def pages() -> list[Path]:
     """The pages that somebody wrote."""
     written_by_sphinx = {DOCS / "reference" / "generated", DOCS / "reference" / "api"}

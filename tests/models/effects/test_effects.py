@@ -59,8 +59,6 @@ FITTING = [(machine, name) for machine, name in PAIRS if fits(machine, name)]
 
 
 # -- every effect ----------------------------------------------------------------------
-
-
 def test_the_library_is_that_of_the_contract():
     entries = catalogue.listing("effects")
     assert sorted(e.name for e in entries) == sorted([*NAMES, *REFERENCES])
@@ -240,7 +238,6 @@ def test_a_machine_without_struts_is_told(name):
 
 
 # -- names in a study ------------------------------------------------------------------
-
 OWN = """\
 import numpy as np
 

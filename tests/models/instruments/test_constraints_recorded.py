@@ -32,8 +32,6 @@ def lock(name: str) -> Setup:
 
 
 # -- simulated machines that are calibrated -------------------------------------------------
-
-
 def drawn(measurement: Measurement, rng: np.random.Generator) -> np.ndarray:
     """Parameters (n,) of a machine and its set-ups, from the tolerances."""
     return measurement.nominal + measurement.tolerance * rng.standard_normal(
@@ -112,8 +110,6 @@ def test_intervals_hold_over_40_machines(name):
 
 
 # -- files ---------------------------------------------------------------------------------
-
-
 def planned() -> tuple[Measurement, str]:
     """A sheet to fill in of a locked joint and of sensors."""
     measurement = Measurement(CMM, [lock("lock1"), sensors()])
@@ -160,8 +156,6 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path):
 
 
 # -- commands ------------------------------------------------------------------------------
-
-
 def test_a_lock_without_its_joint_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["new", "lock", "--machine", "a3_head", "--instrument", "locked_joint"])

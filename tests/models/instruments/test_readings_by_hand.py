@@ -99,7 +99,6 @@ def test_a_reading_is_as_by_hand(instrument, expected):
 
 
 # -- what is stated, and angles --------------------------------------------------------
-
 INSTRUMENTS = [e.name for e in catalogue.listing("instruments")]
 #: what a channel reads of the rotation of a hexapod's platform
 Reading = Callable[[np.ndarray], float]

@@ -14,8 +14,7 @@ from oed.measurement import Measurement
 from oed.model import Machine
 from pkm_models.instruments import redundancy
 
-#: m, of one drum
-DRUM = 0.3e-3
+DRUM = 0.3e-3  #: m, of one drum
 
 
 def _machine() -> Machine:

@@ -16,8 +16,7 @@ from oed.design import Choice, choose
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement, Series
 
-#: virtual machines of a test
-MACHINES = 40
+MACHINES = 40  #: virtual machines of a test
 TILT = "rotation of the platform joints about the TCP, {} axis"
 COMPENSATED = ("z", "psi", "theta")
 
@@ -43,8 +42,6 @@ def d_optimal(candidates: np.ndarray) -> Choice:
 
 
 # -- published numbers -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("stroke", paper.TABLE_2)
 def test_table_2(taught, stroke):
     theta = np.rad2deg(
@@ -123,8 +120,6 @@ def test_kappa_of_the_free_cup():
 
 
 # -- designs ---------------------------------------------------------------------------
-
-
 def test_the_d_optimal_30_readings(taught, candidates, d_optimal):
     s = np.linalg.svd(
         a3_plans.rows(taught, [a3_plans.circles(taught, 15)]), compute_uv=False
@@ -159,8 +154,6 @@ def test_the_e_exchange_beats_the_d_design_in_its_own_measure(candidates, d_opti
 
 
 # -- virtual machines ------------------------------------------------------------------
-
-
 def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, float]]:
     """Realised over predicted RMS by kind and component."""
     table = {}

@@ -57,8 +57,6 @@ def poses(rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
 
 
 # -- a redundant machine ---------------------------------------------------------------
-
-
 def test_it_settles_where_the_line_residuals_are_least(rng):
     x, q, p = poses(rng, 50)
     found = KINEMATICS.forward(q, p, x)
@@ -121,8 +119,6 @@ def test_a_machine_without_a_leg_to_spare_has_no_misfit():
 
 
 # -- the real machine ------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Fit:
     """An identification from the nine known poses, with its figures of merit (mm)."""

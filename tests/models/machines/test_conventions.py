@@ -39,8 +39,6 @@ def random_poses(m: Machine, rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 # -- what is stated --------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_coordinate_of_a_machine_is_stated(name):
     m = machine(name)
@@ -78,8 +76,6 @@ def test_the_command_lists_the_statements(capsys):
 
 
 # -- machines keep to it ---------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [n for n in MACHINES if machine(n).orientation])
 def test_the_pose_s_angles_make_the_platform_s_rotation(name, rng):
     m = machine(name)

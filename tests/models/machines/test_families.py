@@ -14,8 +14,7 @@ from oed.accuracy import ErrorMaps
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Family
 
-#: relative to the machine's size
-CLOSURE = 1e-12
+CLOSURE = 1e-12  #: relative to the machine's size
 POSES = 60
 FAMILIES = machine_shapes.FAMILIES | wrist_shapes.FAMILIES
 

@@ -46,8 +46,6 @@ def assembled(p: Array, q: Array, x: Array) -> tuple[Array, Array]:
 
 
 # -- kinematics ------------------------------------------------------------------------
-
-
 def test_newton_agrees_with_the_oracle(rng):
     tolerance = np.array([p.tolerance for p in MACHINE.parameters])
     x, q = KINEMATICS.inverse(commands(rng, 40))
@@ -72,8 +70,6 @@ def test_the_legs_at_home_are_told_by_the_generic_geometry():
 
 
 # -- what is seen ----------------------------------------------------------------------
-
-
 def look(setups: list[Setup], plans: list[Array]) -> Assessment:
     m = Measurement(MACHINE, setups)
     return Assessment.of(

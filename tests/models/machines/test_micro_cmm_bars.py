@@ -40,8 +40,6 @@ def centres(p: Array) -> Array:
 
 
 # -- direct kinematics -----------------------------------------------------------------
-
-
 def test_closed_form_and_newton_agree_over_the_workspace(rng):
     points = grid(9, 6)
     lengths = oracle.legs(
@@ -65,8 +63,6 @@ def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(rng):
 
 
 # -- the closed forms (6)-(8), as the extracted text has them ---------------------------
-
-
 def test_extracted_x_lacks_a_minus_sign_and_has_a_term_that_vanishes():
     """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is
     to be cos^2 + sin^2 - 1 = 0.
@@ -142,8 +138,6 @@ def test_spherical_joints_do_not_keep_the_platform_parallel():
 
 
 # -- what readings see -----------------------------------------------------------------
-
-
 def measurement(*setups: Setup) -> Measurement:
     return Measurement(MACHINE, setups)
 

@@ -56,8 +56,6 @@ def table(v: Identifiability) -> list[dict[str, float]]:
 
 
 # -- the machine -----------------------------------------------------------------------
-
-
 def test_poses_agree_with_the_intersection_of_circles(rng):
     m, _ = measured(5)
     command = np.column_stack([rng.uniform(-1.5, 1.5, 300), rng.uniform(0.0, 1.5, 300)])
@@ -124,8 +122,6 @@ def test_tolerances_make_the_deviations_the_paper_began_with(rng):
 
 
 # -- noise -----------------------------------------------------------------------------
-
-
 def test_readings_of_a_line_share_the_noise_of_its_reference():
     """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 off it.
 
@@ -167,8 +163,6 @@ def test_differences_carry_the_information_of_the_readings_themselves():
 
 
 # -- identifiability: section 2.3.3 ----------------------------------------------------
-
-
 def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d():
     v = verdict(*_one(1))
     one = pytest.approx(1.0)
@@ -311,8 +305,6 @@ def _one(number: int) -> tuple[Measurement, list[Series]]:
 
 
 # -- which measurement: section 2.4, Eq. (17) ------------------------------------------
-
-
 def amplification(h: np.ndarray, poses: int) -> float:
     """Eq. (17) over the non-zero singular values."""
     s = np.linalg.svd(h, compute_uv=False)

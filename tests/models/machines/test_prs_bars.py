@@ -51,8 +51,6 @@ def lost_text(analysis: Assessment) -> str:
 
 
 # -- the machine and its tables --------------------------------------------------------
-
-
 def test_table_4_is_table_3_less_table_1():
     """To the last digit printed; some of Table 3's are cut off rather than rounded."""
     assert np.abs(oracle.TABLE_3 - oracle.TABLE_1 - oracle.TABLE_4).max() < 0.0101
@@ -104,8 +102,6 @@ def test_forward_is_the_triangle_on_three_swings(rng):
 
 
 # -- instruments -----------------------------------------------------------------------
-
-
 def test_laser_ball_bar_reads_what_the_oracle_reads():
     m, series = measured(FULL, laser_ball_bar.instrument)
     exact = oracle.forward(series.q, PAPER)
@@ -150,8 +146,6 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng):
 
 
 # -- what is seen ----------------------------------------------------------------------
-
-
 def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb():
     """Eq. (11) at the machine as drawn: the tangential column is zero.
 
@@ -239,8 +233,6 @@ def test_a_frame_that_is_not_known_hides_two_more_directions():
 
 
 # -- Table 4 planted -------------------------------------------------------------------
-
-
 def planted(
     seed: int, tolerances: Mapping[str, float]
 ) -> tuple[Measurement, Series, np.ndarray]:

@@ -96,8 +96,6 @@ def assert_refused(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 # -- figures with and without ----------------------------------------------------------
-
-
 def with_effect(place: int | None = None) -> bar_readings.Readings:
     """48 readings of an A3 head with an effect of 1.4 to 2 sigma, one row off by 48."""
     readings = bar_readings.a3_readings(2)
@@ -168,8 +166,6 @@ def test_neighbours_off_the_same_way_stay_for_the_diagnosis(rows):
 
 
 # -- no degrees of freedom -------------------------------------------------------------
-
-
 def test_without_freedom_no_multiple_of_the_noise_is_stated():
     readings = bar_readings.a3_readings(0)
     found = find_outliers(session_of(readings), np.empty(0, dtype=np.intp))

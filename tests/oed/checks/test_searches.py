@@ -35,8 +35,6 @@ def spoiled(session: SessionReadings, errors: dict[int, float]) -> SessionReadin
 
 
 # -- ranges and readings that no instrument took ---------------------------------------
-
-
 def test_ranges_are_those_of_drawn_machines(session, rng):
     ranges = session.predict_ranges(rng)
     m = session.measurement
@@ -78,8 +76,6 @@ def test_computed_readings_are_those_of_the_nominal_machine(session, rng):
 
 
 # -- outliers --------------------------------------------------------------------------
-
-
 def test_the_best_set_is_the_best_of_all(rng):
     """By brute force over all sets of up to three of nine readings."""
     slopes = 3.0 * rng.standard_normal((9, 2))
@@ -140,8 +136,6 @@ def test_a_large_misfit_is_fitted_at_its_own_scale(session):
 
 
 # -- judgement, priors, senses ---------------------------------------------------------
-
-
 def test_strained_parameters_are_told_from_noise(rng):
     """Of residuals from the prior the probability is even; of ten times that it is 0."""
     slopes = 5.0 * rng.standard_normal((40, 6))
@@ -190,8 +184,6 @@ def test_kinds_share_the_prior_evenly():
 
 
 # -- clocks ----------------------------------------------------------------------------
-
-
 def run(name: str, seconds: list[float]) -> times.TimedRun:
     count = len(seconds)
     joints = np.linspace(0.0, 1.0, count)[:, None]

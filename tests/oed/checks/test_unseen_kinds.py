@@ -145,8 +145,6 @@ def test_a_pose_that_is_its_own_reference_has_no_fit():
 
 
 # -- each in what it computes ----------------------------------------------------------
-
-
 def test_lines_of_a_meander_turn_round():
     key = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0])
     rows = np.arange(10, 17)
@@ -230,8 +228,6 @@ def test_a_stretch_is_the_one_that_lessens_the_misfit_most():
 
 
 # -- what is none of them --------------------------------------------------------------
-
-
 def noisier(factor: float, column: str) -> Change:
     def change(rows: pd.DataFrame) -> pd.DataFrame:
         rng = np.random.default_rng(17)

@@ -9,8 +9,7 @@ import pytest
 from oed.checks.explain import _log_of_poses_read
 from oed.checks.mistakes.noise import _trend_p_value
 
-#: readings of two parts of a set-up
-HALF, OTHER = np.arange(20), np.arange(20, 30)
+HALF, OTHER = np.arange(20), np.arange(20, 30)  #: readings of two parts of a set-up
 
 
 def test_residuals_that_follow_the_pose_are_no_noise(rng):

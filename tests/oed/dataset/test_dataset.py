@@ -86,7 +86,6 @@ def test_files_are_taken_together_and_must_not_meet(head, tmp_path):
 
 
 # -- round trip ------------------------------------------------------------------------
-
 number = st.floats(min_value=-1.0, max_value=1.0, allow_nan=False, width=64)
 SHARED = [HealthCheck.function_scoped_fixture]
 row = st.tuples(

@@ -21,8 +21,7 @@ machine = hexapod.machine
 
 FEED = 0.025
 NESTS = {"one": (0.15, 0.0, 0.03), "two": (-0.08, 0.13, 0.03)}
-#: neighbours differ by 30 mm or by 8 degrees alone
-TILTS = np.deg2rad([-4.0, 4.0])
+TILTS = np.deg2rad([-4.0, 4.0])  #: neighbours differ by 30 mm or by 8 degrees alone
 PLACES = itertools.product((-0.015, 0.015), TILTS, TILTS)
 COMMAND = np.array([[x, 0.0, HEIGHT, rx, ry, 0.0] for x, rx, ry in PLACES])
 

@@ -6,8 +6,7 @@ from scipy import special
 
 from oed.estimation import Discrepancy, discrepancy
 
-#: draws; the standard error of a mean is 1.6 % of the standard deviation
-COUNT = 4000
+COUNT = 4000  #: draws; the standard error of a mean is 1.6 % of the standard deviation
 INFORMATION = np.array([[4.0, 1.5], [1.5, 2.0]])
 
 

@@ -26,8 +26,7 @@ LONGEST = max(Counter(SERIES.run).values())
 WEIGHTS = np.array([0.1, 0.2, 0.3, 0.4])
 
 
-#: coordinate of the share carried along at which there is next to none
-WHITE = -7.0
+WHITE = -7.0  #: coordinate of the share carried along at which there is next to none
 
 
 def scatter_within_run(laws: Laws, k: int) -> float:

@@ -19,8 +19,7 @@ POINTS = 12
 STROKES = np.linspace(0.0, 0.2, 9)
 
 
-#: name, length and tool (m) of a bar's set-up
-Bar = tuple[str, float, float]
+Bar = tuple[str, float, float]  #: name, length and tool (m) of a bar's set-up
 ONE: tuple[Bar, ...] = (("a", 0.3, 0.0),)
 TOOLS: tuple[Bar, ...] = (*ONE, ("b", 0.3, 0.1))
 

@@ -63,8 +63,6 @@ def _span(block: str) -> tuple[float, float]:
 
 
 # -- the numbers -----------------------------------------------------------------------
-
-
 def test_shares_are_those_of_the_posterior_in_closed_form(machines):
     """E e = tr A E(beta beta^T), by dense matrices, reading by reading and leg by leg."""
     problem, rng = machines.problem, np.random.default_rng(2)
@@ -132,8 +130,6 @@ def test_of_several_forms_each_counts_by_its_share(machines):
 
 
 # -- the places ------------------------------------------------------------------------
-
-
 def test_an_effect_in_one_leg_is_found_there(machines):
     model = _in_legs(machines.problem, 2.0)
     for seed in range(12):

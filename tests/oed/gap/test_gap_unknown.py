@@ -11,8 +11,7 @@ from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data import evidence
 from oed.gap.forms import discrepancy, library
 
-#: root of the energy that is planted
-SIZE = 40.0
+SIZE = 40.0  #: root of the energy that is planted
 
 
 def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown():

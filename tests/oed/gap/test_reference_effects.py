@@ -58,8 +58,6 @@ def _reading(name: str, state: State, coefficient: str, channel: str) -> np.ndar
 
 
 # -- forms -----------------------------------------------------------------------------
-
-
 def test_a_bow_is_its_sagitta_in_the_middle_and_nothing_at_the_ends():
     line = np.column_stack([np.linspace(-1.4, 1.4, 5), np.full(5, 0.5)])
     state = _problem(planar_2dof.machine, relative.rm5, line).states[0]
@@ -114,8 +112,6 @@ def test_a_plate_and_the_air_scale_all_lengths():
 
 
 # -- offers ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("instrument", "wanted"), [
     (relative.rm4, {"ruler_bow", "square_error"}),
     (relative.rm5, {"ruler_bow", "air_refraction"}),
@@ -158,8 +154,6 @@ def test_a_parallel_machine_without_tilts_cannot_show_what_comes_with_them():
 
 
 # -- names -----------------------------------------------------------------------------
-
-
 def _offered(problem: GapProblem) -> list[Effect]:
     used = [state.instrument for state in problem.states]
     every = [effect for _, effect in catalogue.named_items("effects").values()]

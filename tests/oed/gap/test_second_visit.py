@@ -23,8 +23,7 @@ from oed.instrument import mount
 from oed.measurement import Measurement
 
 EFFECTS = (gravity.effect, encoder_scale.effect)
-#: a reading so precise that it fixes a coefficient at 1
-PRECISE = 1e4
+PRECISE = 1e4  #: a reading so precise that it fixes a coefficient at 1
 
 
 def answer(name: str, probability: float, right: float = 1.0) -> AnswerForm:
@@ -76,8 +75,6 @@ def test_an_unknown_coefficient_spreads_what_is_to_come():
 
 
 # -- advice ----------------------------------------------------------------------------
-
-
 @functools.cache
 def unloaded(size: float = 10.0) -> Diagnosis:
     """Legs that yield under what moves, read without a payload: scale looks alike."""

@@ -86,8 +86,6 @@ def test_bounds_refuse_what_is_outside():
 
 
 # -- series ----------------------------------------------------------------------------
-
-
 def series(instrument: Instrument, runs: list[str]) -> Series:
     """Readings whose pose k has k in all its numbers; a teach pose is the last."""
     index, run = instrument.index_poses(np.array(runs))
@@ -141,8 +139,6 @@ def test_values_belong_to_readings_of_their_series():
 
 
 # -- channels and expressions ----------------------------------------------------------
-
-
 def toy() -> Instrument:
     """Three channels that read 1, 2 and 3, with two sources of errors each."""
     channels = tuple(

@@ -60,7 +60,6 @@ def test_a_very_long_function_is_not_compiled(monkeypatch):
 
 
 # -- Newton's method -------------------------------------------------------------------
-
 #: z0^2 = a0 and z0 z1 = a1, which has a closed form
 SQUARES = ca.vertcat(Z[0] ** 2 - A[0], Z[0] * Z[1] - A[1])
 
@@ -193,8 +192,6 @@ def test_a_singular_matrix_has_no_finite_condition():
 
 
 # -- cores and the switch --------------------------------------------------------------
-
-
 @pytest.mark.parametrize("cores", [2, 3])
 def test_cores_share_points_and_change_no_digit(rng, monkeypatch, cores):
     monkeypatch.setattr(lanes, "MIN_SHARED_POINTS", 16)

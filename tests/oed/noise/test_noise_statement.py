@@ -22,8 +22,7 @@ from oed.noise_law import KNOWN_TO, NoisePrior, detect_outliers
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
 STATED = NoiseStatement(seating=SEATING, correlated=SHARE, reach=REACH)
-#: independent errors of unit size
-ONES = Noise(np.ones(60))
+ONES = Noise(np.ones(60))  #: independent errors of unit size
 NOTHING_ELSE = NoiseStatement(
     levels=frozenset({"length"}),
     seating=0.0,

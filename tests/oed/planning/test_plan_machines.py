@@ -108,8 +108,6 @@ def unknown_home() -> PlanSearchResult:
 
 
 # -- which measurement at which stage --------------------------------------------------
-
-
 def planar(budget: float) -> PlanSearchResult:
     """RM 1 to 5 of Chang et al. (2011): all lines of one together, in equal times."""
     machine, options = planar_2dof.machine, []
@@ -155,8 +153,6 @@ def test_rm4_then_rm5_as_in_the_paper():
 
 
 # -- virtual machines through a plan ---------------------------------------------------
-
-
 def check_stages(realisation, ratio, coverage):
     """Accuracy, coverage and losses of every stage, within limits."""
     for stage in realisation.stages:

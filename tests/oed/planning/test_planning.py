@@ -43,8 +43,6 @@ def everything(option: Option) -> np.ndarray:
 
 
 # -- a stage ---------------------------------------------------------------------------
-
-
 def simulate(number, channel, sigma, limit, rng, draws):
     """Linear readings of drawn planar machines by the oracle's rows.
 
@@ -141,8 +139,7 @@ def test_the_capture_probability_of_a_mixture_is_the_mean():
     assert (each[0] < each[1] - 1e-3).all()
 
 
-#: 1/m
-BEND = 100.0
+BEND = 100.0  #: 1/m
 BENT = Machine(
     name="bent",
     source="invented",
@@ -212,8 +209,6 @@ def test_machines_fitted_by_the_exact_model_are_no_worse_than_the_residual_says(
 
 
 # -- the search ------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class SmallProblem:
     """A catalogue with its goal and budget (s); values and times of all its plans."""

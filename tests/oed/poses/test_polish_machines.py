@@ -76,8 +76,6 @@ def _symbolic(m, series, scaling):
 
 
 # -- the A3 head with a ball bar -------------------------------------------------------
-
-
 def _start(m: Measurement) -> Series:
     """18 readings on three circles, on hold."""
     stroke = np.repeat([0.03, 0.11, 0.19], 6)
@@ -174,8 +172,6 @@ def test_a_search_cut_short_is_never_worse():
 
 
 # -- other machines --------------------------------------------------------------------
-
-
 def test_planar_with_a_tracker():
     criterion = CRITERIA.build("Ds", 13, np.eye(13)[:, :7])
     machine = CASES["planar_2dof"].machine

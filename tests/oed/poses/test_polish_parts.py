@@ -35,8 +35,6 @@ CIRCLES = a3_plans.circles(BAR, 6)
 
 
 # -- slopes and poses ------------------------------------------------------------------
-
-
 def test_equations_of_a_pose_hold_at_the_oracles_joints():
     pose = symbolic_pose(planar_2dof.machine)
     for command in COMMAND:
@@ -60,8 +58,6 @@ def test_the_determinant_is_that_of_the_struts_directions():
 
 
 # -- plans -----------------------------------------------------------------------------
-
-
 def test_readings_at_other_commands_have_the_oracles_joints():
     plan = move_to_commands(ReadingPlan(PLANAR, (READ,)), [COMMAND + 0.05])
     (series,) = plan.series
@@ -114,8 +110,6 @@ def test_variables_beyond_their_range_are_a_fault():
 
 
 # -- polishing -------------------------------------------------------------------------
-
-
 def log_det(measurement: Measurement, command: np.ndarray) -> float:
     """Of information and prior 1, from exact slopes of readings at commands."""
     series = measurement.series("tracker", command)

@@ -15,8 +15,7 @@ from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.posterior import LogDensity, log_density
 
-#: readings of a circle
-COUNT = 600
+COUNT = 600  #: readings of a circle
 Session = tuple[Measurement, list[Series]]
 
 

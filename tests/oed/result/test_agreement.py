@@ -182,8 +182,6 @@ def test_another_type_is_refused_by_its_field(change, field):
 
 
 # -- values ----------------------------------------------------------------------------
-
-
 def fields(found: Iterator[Breach]) -> list[str]:
     return [one.field for one in found]
 

@@ -63,8 +63,6 @@ def test_a_file_that_is_no_result(text, tmp_path, capsys):
 
 
 # -- at random -------------------------------------------------------------------------
-
-
 def places(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """Paths of all entries of nested tables and lists."""
     keys = list(tree) if isinstance(tree, dict) else range(len(tree))

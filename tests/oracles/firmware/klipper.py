@@ -113,7 +113,6 @@ class Klipper:
         return self.geometry.travel(points)
 
     # -- measuring ---------------------------------------------------------------------
-
     def calibrate(self, real: Delta, probe: Probe, places, rng=None) -> None:
         """DELTA_CALIBRATE: save heights at places (n, 2), without a fit."""
         z = contact(self, real, probe, places, rng)
@@ -188,7 +187,6 @@ class Klipper:
         return printer(least_squares(misses, first, x_scale=1e-3).x)
 
     # -- output ------------------------------------------------------------------------
-
     def text(self) -> str:
         """printer.cfg with the block of SAVE_CONFIG."""
         return written(self.regular) + "\n" + HEADER + written(self.saved, "#*# ")

@@ -74,7 +74,6 @@ class Marlin:
         self.apply(text)
 
     # -- words -------------------------------------------------------------------------
-
     def apply(self, text: str) -> Marlin:
         """Execute a log of M503, or an export."""
         for words in words_of(text, "M665"):
@@ -115,7 +114,6 @@ class Marlin:
             self.adjust = self.adjust - self.adjust.max()
 
     # -- kinematics --------------------------------------------------------------------
-
     @property
     def feet(self) -> np.ndarray:
         return towers(self.words["R"] + self.trim, self.angles)
@@ -160,7 +158,6 @@ class Marlin:
         return self.home() - carriages(points, self.feet, self.arms)
 
     # -- probing -----------------------------------------------------------------------
-
     def readings(self, real, probe: Probe, places, rng=None) -> np.ndarray:
         """Printed heights (n,) for places (n, 2) of the nozzle."""
         z = contact(self, real, probe, places, rng)
@@ -173,7 +170,6 @@ class Marlin:
         return "".join(form % (*xy, h) for xy, h in zip(places, z, strict=True))
 
     # -- output ------------------------------------------------------------------------
-
     def m115(self) -> str:
         return f"FIRMWARE_NAME:Marlin {self.version} (Github) PROTOCOL_VERSION:1.0\n"
 

@@ -82,7 +82,6 @@ class RepRapFirmware:
         self.offset = np.array([float(w.get(k, v)) for k, v in pairs])
 
     # -- kinematics --------------------------------------------------------------------
-
     @property
     def endstops(self) -> np.ndarray:
         return self.height + self.adjust
@@ -98,7 +97,6 @@ class RepRapFirmware:
         return home - carriages(points, towers(self.radius, self.angles), self.rods)
 
     # -- probing -----------------------------------------------------------------------
-
     def g32(self, bed: str, real, probe: Probe, rng=None) -> str:
         """The answer of G30 P S-1 at the end of bed.g."""
         errors: dict[int, float] = {}
@@ -122,7 +120,6 @@ class RepRapFirmware:
         return z - self.offset[2] - float(words.get("H", 0.0))
 
     # -- output ------------------------------------------------------------------------
-
     def answers(self) -> str:
         """The answers to M665 and M666 without words."""
         rods = ":".join(f"{rod:.3f}" for rod in self.rods)

@@ -27,22 +27,16 @@ def _turned(angles) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclasses.dataclass
 class SixRods:
-    """Numbers by tower (3,); mm, deg.
+    """Numbers by tower (3,); mm, deg."""
 
-    radius   of a delta firmware: to the carriages' joints, less the effector's
-    endstops  height of the nozzle at each switch, of a printer without tilts
-    turns    of the carriages' axes about z, rad
-    pairs    by how much the first rod of a pair is longer than the second
-    lean     (2,) rise of the bed along x and y
-    """
-
-    radius: float
+    radius: float  #: of a delta firmware: to the carriages' joints, less the effector's
     arm: float
     angles: np.ndarray
+    #: height of the nozzle at each switch, of a printer without tilts
     endstops: np.ndarray
-    turns: np.ndarray
-    pairs: np.ndarray
-    lean: np.ndarray
+    turns: np.ndarray  #: of the carriages' axes about z, rad
+    pairs: np.ndarray  #: by how much the first rod of a pair is longer than the second
+    lean: np.ndarray  #: (2,) rise of the bed along x and y
 
     def poses(self, travels) -> tuple[np.ndarray, Rotation]:
         """Nozzles (n, 3) and orientations (n,) of the effector at travels (n, 3)."""

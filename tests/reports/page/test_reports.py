@@ -68,8 +68,6 @@ class Tags(HTMLParser):
 
 
 # -- files -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("build", SAMPLES)
 def test_fixture_conforms_to_the_schema(build):
     assert len(result_of(build()).machine.parameters) == 18
@@ -180,8 +178,6 @@ def test_a_failed_write_leaves_the_old_report(tmp_path, monkeypatch):
 
 
 # -- missing sections and older results ------------------------------------------------
-
-
 def test_a_report_needs_no_optional_section(tmp_path):
     page, book = write_report(result_of(report_fixture.bare()), tmp_path)
     assert book.stat().st_size > 1000
@@ -249,8 +245,6 @@ def test_independent_draws_have_no_diagnostics_of_chains():
 
 
 # -- names are never markup ------------------------------------------------------------
-
-
 def _with_nasty_names() -> dict[str, Any]:
     raw = report_fixture.sample()
     raw |= {"title": NASTY, "question": NASTY, "study_text": NASTY}

@@ -140,8 +140,6 @@ def test_a_table_is_saved_as_csv(opened, result):
 
 
 # -- the view to turn ------------------------------------------------------------------
-
-
 def _seen_from(points: Array, at: Array, azimuth: float, elevation: float) -> Array:
     """Where a point (3,) is drawn, in units of the scale, right and up of the middle.
 

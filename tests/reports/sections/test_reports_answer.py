@@ -54,8 +54,6 @@ def test_a_bare_result_promises_nothing():
 
 
 # -- accuracy --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("limit", "reached"), [(1e9, True), (1e-9, False)])
 def test_the_wanted_accuracy_stands_beside_the_predicted(limit, reached):
     raw = report_fixture.sample()
@@ -99,8 +97,6 @@ def test_a_plan_of_stages_stands_beside_its_goal():
 
 
 # -- unknown ---------------------------------------------------------------------------
-
-
 def test_what_is_lost_stands_with_what_brings_it_back():
     result = result_of(report_fixture.sample())
     words = _words(result)["unknown"]
@@ -116,8 +112,6 @@ def test_where_nothing_is_lost_the_page_says_so():
 
 
 # -- warnings --------------------------------------------------------------------------
-
-
 def test_the_most_harmful_warning_stands_first():
     goodness = {
         "chi2": 900.0,
@@ -137,8 +131,6 @@ def test_the_most_harmful_warning_stands_first():
 
 
 # -- causes ----------------------------------------------------------------------------
-
-
 def test_causes_are_ranked_by_size_with_their_unit_and_probability():
     gap = {
         "verdict": "effect",

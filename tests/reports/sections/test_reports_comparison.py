@@ -99,8 +99,6 @@ def test_a_machine_with_other_components_or_none_is_no_trouble(results, tmp_path
 
 
 # -- command ---------------------------------------------------------------------------
-
-
 def _stored(folder: Path, result: StudyResult) -> Path:
     folder.mkdir(parents=True)
     (folder / "result.json").write_bytes(msgspec.json.encode(result))

@@ -41,8 +41,6 @@ def _result(gap: GapSection | dict[str, Any]) -> StudyResult:
 
 
 # -- chapter ---------------------------------------------------------------------------
-
-
 def test_the_chapter_is_there_only_where_there_is_a_diagnosis(gap):
     assert sections.chapters(_result(gap))[-1].anchor == "gap"
     without = sections.chapters(result_of(report_fixture.bare()))
@@ -118,8 +116,6 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap):
 
 
 # -- tables ----------------------------------------------------------------------------
-
-
 def test_the_largest_coefficient_stands_first(gap):
     (table,) = chapter._coefficients(gap)
     names = ["leg 2", "leg 3", "leg 1"]
@@ -152,8 +148,6 @@ def test_the_set_is_shown_where_it_has_more_than_one(gap):
 
 
 # -- figures ---------------------------------------------------------------------------
-
-
 def test_figures_without_data_say_so(gap):
     with style.applied():
         for figure in (gap_figures.draw_traces([]), chapter.draw_map([], "um")):

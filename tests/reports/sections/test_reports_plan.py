@@ -55,8 +55,6 @@ def _plan(**changes: Any) -> PlanSection:
 
 
 # -- chapter ---------------------------------------------------------------------------
-
-
 def test_the_chapter_is_there_only_where_stages_are_planned():
     planned = sections.chapters(_small(report_fixture_plan.plan()))
     others = sections.chapters(result_of(report_fixture.sample()))
@@ -203,8 +201,6 @@ def test_names_are_never_markup(tmp_path):
 
 
 # -- figures ---------------------------------------------------------------------------
-
-
 def test_lines_and_diamonds_are_the_numbers():
     plan = _plan()
     with style.applied():
@@ -304,8 +300,6 @@ def test_a_figure_without_data_says_so(draw):
 
 
 # -- measurement sheet -----------------------------------------------------------------
-
-
 def _rows(count: int, setup: str) -> list[PlannedReading]:
     return [
         PlannedReading(setup, "1", k, {"z_mm": 0.5 * k, "psi_deg": 3.0 * k}, {})

@@ -46,8 +46,6 @@ def oed(*arguments: object, encoding: str) -> subprocess.CompletedProcess[bytes]
 
 
 # -- terminals -------------------------------------------------------------------------
-
-
 def test_a_terminal_without_unicode_gets_the_text(tmp_path):
     """A title with σ, ± and ≤ reaches stdout and stderr, with ? where it must."""
     study = tmp_path / "p.study.toml"
@@ -74,8 +72,6 @@ def test_json_is_whole_on_any_terminal():
 
 
 # -- names that only POSIX has ---------------------------------------------------------
-
-
 def test_a_study_runs_without_posix_names(tmp_path, monkeypatch):
     for module, names in NAMES.items():
         for name in names:
@@ -114,8 +110,6 @@ def test_no_module_needs_posix():
 
 
 # -- files and pipes -------------------------------------------------------------------
-
-
 def test_a_file_that_another_program_has_open_is_named(tmp_path, monkeypatch, capsys):
     """Windows refuses to replace an open file: one line, and the old result stays."""
     study, out = tmp_path / "p.study.toml", tmp_path / "out"

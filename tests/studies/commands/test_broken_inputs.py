@@ -94,8 +94,6 @@ def test_readings(name, capsys, tmp_path):
 
 
 # -- files that are no studies and no readings -----------------------------------------
-
-
 @pytest.mark.parametrize("kind", ["binary", "lines", "text"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
 def test_ten_megabytes_of_noise(name, kind, capsys, tmp_path):
@@ -124,8 +122,6 @@ def test_no_file_a_folder_and_nesting(capsys, tmp_path):
 
 
 # -- the real command ------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("content", [
     noise("binary"),
     sample.STUDY.replace("300.0", "nan").encode(),
@@ -146,7 +142,6 @@ def test_in_a_process_of_its_own(content, tmp_path):
 
 
 # -- what a run refuses, a check refuses -----------------------------------------------
-
 WIDE = """\
 [machine.workspace]
 x_mm = [-400.0, 400.0]

@@ -252,8 +252,6 @@ def test_one_seed_gives_the_same_bytes(oed, tmp_path):
 
 
 # -- how it ends -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("arguments", [
     ["run"],
     ["frobnicate"],

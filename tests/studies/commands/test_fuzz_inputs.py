@@ -19,8 +19,7 @@ from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
 from pkm_studies.study import Study
 
-#: mutations of studies, and of each of two readings files
-STUDY_MUTATIONS = 50
+STUDY_MUTATIONS = 50  #: mutations of studies, and of each of two readings files
 READINGS_MUTATIONS = 75
 STUDIES = (
     sample.STUDY,
@@ -34,8 +33,7 @@ VALUES = (
     *("true", '""', '"x"', "[]", "{}", "[1, 2]", "{ from = 1.0 }", "'cup'", "é", "\0"),
     *("1,5", '"', "=", "[", "1979-05-27", "repeat", "length_mm", "-", ";", "\t", "psi"),
 )
-#: characters that end a token of a study, or a cell
-LIMITS = ' \n=,;[]{}"'
+LIMITS = ' \n=,;[]{}"'  #: characters that end a token of a study, or a cell
 
 
 def tokens(text: str) -> list[str]:

@@ -131,8 +131,6 @@ def test_gcode_moves_to_the_planned_poses(oed, tmp_path):
 
 
 # -- refusals --------------------------------------------------------------------------
-
-
 def test_a_failed_fit_is_refused_unless_forced(oed, tmp_path):
     content = sample.result(linear_delta.machine, DELTA, chi2=2000.0)
     folder = sample.save(tmp_path / "bad", content)

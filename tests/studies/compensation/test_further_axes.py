@@ -182,8 +182,6 @@ def test_the_terminal_and_the_report_state_both_lines(folder, capsys):
 
 
 # -- verify ----------------------------------------------------------------------------
-
-
 def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Path:
     """Errors of the oracle's head at the planned poses; None leaves x, y, phi empty."""
     text = (folder / "acceptance.csv").read_text()
@@ -232,8 +230,6 @@ def test_verify_judges_without_and_with_the_axes(folder, tmp_path):
 
 
 # -- other machines --------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("machine", "names"), [
     (linear_delta.machine, []),
     (hexapod.machine, []),

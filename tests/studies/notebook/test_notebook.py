@@ -210,8 +210,6 @@ def test_a_posterior_goes_to_arviz(estimate):
 
 
 # -- without readings; at the machine --------------------------------------------------
-
-
 def small_study(folder: Path) -> Path:
     """The file of the small study, in a folder."""
     path = folder / "small.study.toml"

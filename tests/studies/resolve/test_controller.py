@@ -163,8 +163,6 @@ def test_planned_readings_are_those_of_the_compensated_machine(folder):
 
 
 # -- refusals --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("name", "words"), [
     ("frist", "there is no folder"),
     (".", "there is no result.json"),
@@ -247,8 +245,6 @@ def test_a_changed_grid_or_a_missing_session_is_noticed(folder, table):
 
 
 # -- the export of a later round -------------------------------------------------------
-
-
 def compensated(folder: Path, content: StudyResult, form: str, oed: Run) -> str:
     code, out, err = oed("compensate", sample.save(folder, content), "--to", form)
     assert code == 0, err
@@ -283,8 +279,6 @@ def test_every_format_says_that_it_is_the_whole(tmp_path, oed, machine, form, su
 
 
 # -- an earlier session as the prior ---------------------------------------------------
-
-
 def session(covariance: Array) -> StudyResult:
     """A result whose estimate has this covariance of the free parameters, mm and mrad."""
     content = sample.result(a3_head.machine, si(KNOWN))

@@ -27,8 +27,6 @@ def blocks() -> np.ndarray:
 
 
 # -- command ---------------------------------------------------------------------------
-
-
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     path = tmp_path / "mine.study.toml"

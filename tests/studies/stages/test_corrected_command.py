@@ -153,8 +153,6 @@ def test_an_effect_that_the_readings_cannot_show_is_refused(folder, capsys):
 
 
 # -- the alarm of a bad fit ------------------------------------------------------------
-
-
 def test_the_first_line_is_true_of_the_corrected_fit(folder):
     lines = (folder / "printed.txt").read_text(encoding="utf-8").splitlines()
     model = "With gravity and frame bending in the model the residuals"
@@ -172,8 +170,6 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder):
 
 
 # -- acceptance ------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def planned(folder: Path, result: StudyResult) -> Path:
     """The acceptance file of the result, to fill in."""

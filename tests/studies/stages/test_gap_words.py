@@ -391,7 +391,6 @@ def test_scatter_beyond_the_instrument_in_words():
 
 
 # -- explanations beside the best one --------------------------------------------------
-
 NOISE = "No effect is found: noise alone may explain what calibration leaves (probability 36 %)."
 UNSEEN = (
     "More likely than noise alone is gravity (probability 38 %), but not than noise and"

@@ -125,8 +125,6 @@ def test_the_report_draws_the_runs(curves):
 
 
 # -- `oed verify` with readings after compensation -------------------------------------
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("round") / "out"

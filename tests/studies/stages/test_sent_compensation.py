@@ -23,8 +23,7 @@ machine = a3_head.machine
 
 __all__ = ["case"]
 COMMAND = np.array([[y, z] for y in (-0.9, 0.0, 0.9) for z in (0.4, 0.8, 1.1)])
-#: a shift that no session shows, m
-SHIFT = 5e-3
+SHIFT = 5e-3  #: a shift that no session shows, m
 
 
 def spreads(**rms: float) -> dict[str, Spread]:

@@ -15,9 +15,8 @@ from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 
+
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
-
-
 @pytest.mark.parametrize("name", [
     *("D", "Ds", "A", "c", "I", "O1", "O5", "kappa", "O2"),
     pytest.param("G", marks=pytest.mark.slow),
@@ -125,8 +124,6 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path):
 
 
 # -- instruments -----------------------------------------------------------------------
-
-
 def test_readings_that_share_a_reference():
     """Readings against one reference are correlated, and so is their identifiability."""
     planar = (
@@ -190,7 +187,6 @@ theta_deg = 20
 
 
 # -- refusals --------------------------------------------------------------------------
-
 REFUSED = {
     "criterion and compound": ('criterion = "A"\ncompound = { D = 1.0 }', "design.compound", "keep criterion or"),
     "unknown part": ("compound = { F = 1.0 }", "design.compound.F", "no such criterion"),

@@ -86,8 +86,6 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
 
 
 # -- the table ----------------------------------------------------------------------
-
-
 def test_all_known_effects_are_tried_but_those_left_out():
     names = {e.name for e in sample.resolved(sample.STUDY + "[gap]\n").gap.effects}
     assert {"gravity", "backlash", "leg_thermal"} <= names
@@ -133,8 +131,6 @@ def test_a_mistake_is_refused_with_field_and_remedy(case):
 
 
 # -- the section --------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("without_mixture")
 def test_the_command_diagnoses_readings(oed, tmp_path):
     study = gap_fixture.written(tmp_path, gap_fixture.STUDY + PREDICTION)
@@ -195,8 +191,6 @@ def test_a_study_without_a_table_is_diagnosed_with_all_effects(oed, tmp_path):
 
 
 # -- a second session ----------------------------------------------------------------
-
-
 def _two_sessions(folder: Path) -> None:
     """r.csv with a clock, and its runs of one height and of the other apart: both call
     their runs alike and begin their clocks at 0.

@@ -37,8 +37,6 @@ def heights(resolved: ResolvedStudy) -> np.ndarray:
 
 
 # -- quotas ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "numbers"), [("D", "min_share = 1.0"), ("I", "max = 1")]
 )
@@ -160,8 +158,6 @@ def test_readings_that_cannot_be_shared_equally_are_refused():
 
 
 # -- branch and bound ------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["D", "O5"])
 def test_branching_proves_the_best_plan(name):
     resolved, design = chosen(

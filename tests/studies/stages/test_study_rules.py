@@ -24,9 +24,8 @@ from oed import dataset
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
 
+
 # -- rules -----------------------------------------------------------------------------
-
-
 def test_the_best_two_of_three_setups():
     resolved, design = chosen(
         text(
@@ -222,8 +221,6 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel():
 
 
 # -- polish and order ------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("criterion", [
     "D",
     pytest.param("I", marks=pytest.mark.slow),

@@ -90,8 +90,6 @@ def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy():
 
 
 # -- the first page of the report ------------------------------------------------------
-
-
 def table_of(blocks: list[Block], caption: str) -> Table:
     (table,) = [
         block

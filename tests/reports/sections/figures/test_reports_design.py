@@ -122,8 +122,6 @@ def test_an_old_result_still_has_its_certificate():
 
 
 # -- efficiencies ----------------------------------------------------------------------
-
-
 def _criteria(main: str, rng: np.random.Generator) -> dict[str, Criterion]:
     """All criteria over four directions, the main one first."""
     ingredients = {
@@ -173,8 +171,6 @@ def test_efficiencies_are_ratios_of_phi(main):
 
 
 # -- path ------------------------------------------------------------------------------
-
-
 def _poses(commands: list[dict[str, float]]) -> list[PlannedReading]:
     return [
         PlannedReading("a", "1", k, command, {}) for k, command in enumerate(commands)
@@ -239,8 +235,6 @@ def test_numbers_of_the_path_do_not_overlap(count):
 
 
 # -- scenarios -------------------------------------------------------------------------
-
-
 def test_the_figure_shows_the_share_of_scenarios():
     half, quarter = float(np.log(0.5)), float(np.log(0.25))
     summary = RobustSummary(
@@ -264,8 +258,6 @@ def test_the_figure_shows_the_share_of_scenarios():
 
 
 # -- number of readings ----------------------------------------------------------------
-
-
 def test_a_panel_has_plans_the_bound_and_what_is_wanted():
     """A little wider than the numbers of readings, and a third than the accuracies."""
     summary = result_of(report_fixture.sample()).design.how_many
