@@ -74,6 +74,7 @@ def test_small_errors_give_the_linear_closed_form(bar):
         np.sqrt(np.diag(gain))[m.free], rel=1e-2
     )
     assert (found.shrinkage[~m.free] == 0).all()
+    assert (found.scatter, found.widening) == (1.0, 1.0)  # the law is not contradicted
 
 
 @pytest.mark.parametrize("seed", range(3))
