@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from shipped_models import delta, linear_delta, pentapod, rotary_delta
 
 from oed.model import Machine
+from pkm_studies.compensation.formats import linuxcnc
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -153,3 +154,14 @@ def test_limbs_elsewhere_are_refused(oed, tmp_path):
     code, _, err = oed("compensate", folder, "--to", "linuxcnc")
     assert code == 2
     assert "the first of them at 90 or 270 degrees" in err
+
+
+def test_the_frame_of_tripodkins_is_right_handed(rng):
+    """Its base points are (0, 0), (Bx, 0) and (Cx, Cy), with Bx and Cy positive."""
+    base, platform = rng.normal(size=(2, 3, 3))
+    origin, axes = linuxcnc.tripod_frame(linuxcnc.Struts(base, platform, np.zeros(3)))
+    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    a, b, c = (base - platform - origin) @ axes.T
+    assert [*a, *b[1:], c[2]] == pytest.approx([0.0] * 6, abs=1e-12)
+    assert min(b[0], c[1]) > 0.0
