@@ -15,7 +15,6 @@ from pkm_printers.delta_numbers import (
 )
 from pkm_printers.klipper import RADIUS_OFFSET, linear_geometry
 from pkm_printers.klipper_rotary import WHERE, rotary_format
-from pkm_printers.machine_formats import choose_by_machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME, TOWERS = "klipper", "abc"
@@ -71,4 +70,4 @@ linear_format = ControllerFormat(
     unfit=not_a_delta,
     notes=notes,
 )
-controller = choose_by_machine(linear_format, {rotary_delta.MODEL: rotary_format})
+controller = linear_format.with_others({rotary_delta.MODEL: rotary_format})

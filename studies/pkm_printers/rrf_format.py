@@ -20,7 +20,6 @@ from pkm_printers.delta_numbers import (
     trims,
 )
 from pkm_printers.hangprinter import hangprinter_format
-from pkm_printers.machine_formats import choose_by_machine
 from pkm_printers.rrf import linear_geometry
 from pkm_printers.rrf_rotary import rotary_format
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
@@ -118,11 +117,10 @@ linear_format = ControllerFormat(
     unfit=not_a_delta,
     notes=notes,
 )
-controller = choose_by_machine(
-    linear_format,
+controller = linear_format.with_others(
     {
         rotary_delta.MODEL: rotary_format,
         rrf_five_bar.MODEL: rrf_five_bar.five_bar_format,
         hangprinter.MODEL: hangprinter_format,
-    },
+    }
 )

@@ -165,3 +165,20 @@ class ControllerFormat:
                 value=f"--to {self.name}",
             )
         return joints
+
+    def with_others(self, others: Mapping[str, ControllerFormat]) -> ControllerFormat:
+        """This format, with others for machines of these names."""
+
+        def chosen(machine: Machine) -> ControllerFormat:
+            return others.get(machine.name, self)
+
+        def joints(texts: Texts, content: Compensation) -> Array:
+            return chosen(content.machine).driven_joints(texts, content)
+
+        return dataclasses.replace(
+            self,
+            write=lambda content: chosen(content.machine).write(content),
+            joints=joints,
+            unfit=lambda machine: chosen(machine).unfit(machine),
+            notes=lambda content: chosen(content.machine).notes(content),
+        )
