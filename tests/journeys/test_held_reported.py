@@ -64,7 +64,7 @@ def test_a_lean_of_the_bed_is_reported(lean, tmp_path, capsys):
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     held = result["estimate"]["held"]
     printed = " ".join(capsys.readouterr().out.split())
-    page = (out / "report.html").read_text(encoding="utf-8")
+    page = (out / "report.html").read_text(encoding="utf-8").replace("\xa0", " ")
     said = "tilt_x is held at 0 mrad, which the readings contradict"
     assert (said in printed, said in page) == (lean != 0.0, lean != 0.0)
     assert [one["parameters"] for one in held] == [["probe.tilt_x"]] * (lean != 0.0)
