@@ -302,3 +302,9 @@ def test_the_twist_of_a_turn_about_z():
     at = ca.Function("f", [x], [slope])(0.3)
     tangent = [-2.0 * np.sin(0.3), 2.0 * np.cos(0.3), 0.0, 0.0, 0.0, 1.0]
     assert np.array(at).ravel() == pytest.approx(tangent)
+
+
+@pytest.mark.parametrize("head", [a3_head, a3])
+def test_model_and_oracle_have_the_dimensions_of_table_1(head):
+    expected = paper.A, paper.B, paper.C, paper.D
+    assert (head.A, head.B, head.C, head.D) == expected
