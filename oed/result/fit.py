@@ -1,5 +1,7 @@
 """Estimate, posterior and goodness: sections of result.json of what readings tell."""
 
+from __future__ import annotations
+
 import math
 from typing import Annotated, ClassVar
 
@@ -10,14 +12,18 @@ from oed.result.record import Number, Record, Size
 
 
 class OutlierRecord(Record, frozen=True):
-    """A reading that all others contradict."""
+    """A reading that all others contradict.
+
+    row   of its file
+    file  its name, where the readings are of several
+    """
 
     setup: str
     run: str
     order: int
-    row: int  #: of its file
+    row: int
     pull: float
-    file: str = ""  #: its name, where the readings are of several
+    file: str = ""
 
 
 class MistakeRecord(Record, frozen=True):
@@ -28,28 +34,40 @@ class MistakeRecord(Record, frozen=True):
 
 
 class NoiseRecord(Record, frozen=True):
-    """One number of the noise law as estimated."""
+    """One number of the noise law as estimated.
 
-    #: reading (about the mean of its run), run, seat, course at the session's end
-    #: (standard deviations), carried (share of the variance) or reach (in readings)
+    kind     reading (about the mean of its run), run, seat, course at the session's end
+             (standard deviations),
+             carried (share of the variance) or reach (in readings)
+    of       set-up and channel, or set-up; empty for all readings
+    stated   what the stated noise has
+    departs  whether it surely differs from that by more than matters
+    """
+
     kind: str
-    of: str  #: set-up and channel, or set-up; empty for all readings
+    of: str
     value: float
     sd: float
     unit: str
-    stated: Number = None  #: what the stated noise has
-    departs: bool = False  #: whether it surely differs from that by more than matters
+    stated: Number = None
+    departs: bool = False
 
 
 class LeftOutRun(Record, frozen=True):
-    """A run against what all other runs predict of it."""
+    """A run against what all other runs predict of it.
+
+    values     number of its values
+    ratio      its errors over what is predicted
+    p_high     probability of larger errors
+    log_score  log predictive density, readings in units of their noise
+    """
 
     setup: str
     run: str
-    values: int  #: number of its values
-    ratio: float  #: its errors over what is predicted
-    p_high: float  #: probability of larger errors
-    log_score: float  #: log predictive density, readings in units of their noise
+    values: int
+    ratio: float
+    p_high: float
+    log_score: float
 
     @property
     def chi2(self) -> float:
@@ -58,33 +76,39 @@ class LeftOutRun(Record, frozen=True):
 
 
 class GoodnessSection(Record, frozen=True):
-    """Goodness of fit against the stated noise, and what a check of the readings says."""
+    """Goodness of fit against the stated noise, and what a check of the readings says.
 
-    #: of the parameters that are delivered, as in `estimate`, without `outliers` and
-    #: `doubtful`; p_low, p_high  probabilities of less and of more
+    chi2, dof  of the parameters that are delivered, as in `estimate`, without `outliers`
+               and `doubtful`; p_low, p_high  probabilities of less and of more
+    law_p_low, law_p_high  of less and of more under the law that is estimated, with a
+               scatter of single readings within what a statement is good for
+    bad_fit    whether nothing fitted to the readings can be trusted
+    outliers   gross errors, which no fit includes
+    doubtful   readings that may be gross errors or noise; fits include them
+    unlocated  rows of the file one of which is wrong; fits include all
+    findings   sentences, the most harmful first
+    noise     the noise law as estimated, by the names of its numbers; empty where the
+              noise is as stated
+    noise_words  how it departs from the stated noise, as sentences
+    left_out  each run predicted from the others; their log score with its standard
+              deviation in `left_out_score` and `left_out_sd`
+    """
+
     chi2: Number
     dof: Number
     p_low: Number
     p_high: Number
-    bad_fit: bool = False  #: whether nothing fitted to the readings can be trusted
-    outliers: list[OutlierRecord] = []  #: gross errors, which no fit includes
-    #: readings that may be gross errors or noise; fits include them
+    bad_fit: bool = False
+    outliers: list[OutlierRecord] = []
     doubtful: list[OutlierRecord] = []
-    #: rows of the file one of which is wrong; fits include all
     unlocated: list[int] = []
     mistakes: list[MistakeRecord] = []
-    findings: list[str] = []  #: sentences, the most harmful first
-    #: the noise law as estimated, by the names of its numbers; empty where the noise is
-    #: as stated
+    findings: list[str] = []
     noise: dict[str, NoiseRecord] = {}
-    noise_words: list[str] = []  #: how it departs from the stated noise, as sentences
-    #: each run predicted from the others; their log score with its standard deviation
-    #: in `left_out_score` and `left_out_sd`
+    noise_words: list[str] = []
     left_out: list[LeftOutRun] = []
     left_out_score: Number = None
     left_out_sd: Number = None
-    #: of less and of more under the law that is estimated, with a scatter of single
-    #: readings within what a statement is good for
     law_p_low: Number = None
     law_p_high: Number = None
 
@@ -129,50 +153,63 @@ class ParameterEstimate(Record, frozen=True):
 
 
 class CombinationEstimate(Record, frozen=True):
-    """A linear combination of parameters that the readings determine."""
+    """A linear combination of parameters that the readings determine.
 
-    #: coefficient of each parameter, SI over SI; 1 at the first that has its unit
+    terms      coefficient of each parameter, SI over SI; 1 at the first that has its unit
+    value      of the combination's departure from nominal
+    tolerance  its standard deviation before the readings
+    """
+
     terms: dict[str, float]
-    value: float  #: of the combination's departure from nominal
+    value: float
     sd: float
-    tolerance: float  #: its standard deviation before the readings
+    tolerance: float
     unit: str
 
 
 class HeldParameter(Record, frozen=True):
-    """A parameter that the model holds exactly, and that the readings contradict."""
+    """A parameter that the model holds exactly, and that the readings contradict.
 
-    parameters: list[str]  #: one, or several that are moved together
-    #: where it is held, and freed, in `unit`; means of several
+    parameters    one, or several that are moved together
+    held, estimate, sd  where it is held, and freed, in `unit`; means of several
+    p_value       of the held value, times the number of such tests
+    changes       {parameter: change with this one freed}, of those that change most, in
+                  their `units`
+    tool_mm       rms shift of the tool by these changes, at the poses read
+    """
+
+    parameters: list[str]
     held: float
     estimate: float
     sd: float
     unit: str
-    p_value: float  #: of the held value, times the number of such tests
-    #: {parameter: change with this one freed}, of those that change most, in their
-    #: `units`
+    p_value: float
     changes: dict[str, float]
     units: dict[str, str]
-    tool_mm: float  #: rms shift of the tool by these changes, at the poses read
+    tool_mm: float
 
 
 class RunCurve(Record, frozen=True):
-    """Readings along a run, as departures from those of the nominal machine, in `unit`."""
+    """Readings along a run, as departures from those of the nominal machine, in `unit`.
+
+    kind         circle: `at` is the angle in degrees; line: the way along it in mm
+    measured     of each reading
+    predicted    of the identified machine
+    half_widths  half of the 95 % interval of a reading about `predicted`
+    compensated  what the compensated machine is predicted to read, from the parameters
+                 and what no drive corrects, with half of its 95 % interval; none where
+                 only joints are recorded, and of readings after compensation
+    """
 
     setup: str
     run: str
     channel: str
     unit: str
-    #: circle: `at` is the angle in degrees; line: the way along it in mm
     kind: Annotated[str, msgspec.Meta(pattern="^(circle|line)$")]
     at: list[float]
-    measured: list[float]  #: of each reading
-    predicted: list[float]  #: of the identified machine
-    #: half of the 95 % interval of a reading about `predicted`
+    measured: list[float]
+    predicted: list[float]
     half_widths: list[float]
-    #: what the compensated machine is predicted to read, from the parameters and what
-    #: no drive corrects, with half of its 95 % interval; none where only joints are
-    #: recorded, and of readings after compensation
     compensated: list[float] = []
     compensated_half_widths: list[float] = []
 
@@ -210,25 +247,32 @@ class EstimateSection(Record, frozen=True):
 
 
 class Marginal(Record, frozen=True):
-    """Posterior of one parameter, in its display unit."""
+    """Posterior of one parameter, in its display unit.
+
+    rhat    of emcee's ensembles; None for independent draws
+    ess     None for a parameter that is not sampled
+    """
 
     mean: float
     sd: float
     q025: float
     q975: float
-    rhat: Number  #: of emcee's ensembles; None for independent draws
-    ess: Number  #: None for a parameter that is not sampled
+    rhat: Number
+    ess: Number
     unit: str
 
 
 class PredictiveCheckRecord(Record, frozen=True):
-    """A discrepancy of the residuals, in units of the stated noise."""
+    """A discrepancy of the residuals, in units of the stated noise.
+
+    low, high  95 % of the draws of the noise lie between
+    p_high     share of draws in which the noise has the larger one
+    """
 
     observed: float
-    #: 95 % of the draws of the noise lie between
     low: float
     high: float
-    p_high: float  #: share of draws in which the noise has the larger one
+    p_high: float
 
     @property
     def alarming(self) -> bool:
@@ -242,6 +286,11 @@ class PredictiveCheckRecord(Record, frozen=True):
 
 class PosteriorSection(Record, frozen=True):
     """Sampler summary. `posterior.nc` holds the draws.
+
+    sampler    `importance` (independent draws) or `emcee`
+    pareto_k   shape of the tail of the importance weights, also where emcee ran because it
+               is too large; None where no weights were computed
+    proposals  points that were weighted
 
     Of emcee alone, None and 0 for independent draws: acceptance, walkers,
     autocorrelation.
@@ -260,11 +309,9 @@ class PosteriorSection(Record, frozen=True):
         list[float]
     ]  # thinned draws [draw][direction], in prior standard deviations
     checks: dict[str, PredictiveCheckRecord] = {}  # posterior predictive
-    sampler: str = "emcee"  #: `importance` (independent draws) or `emcee`
-    #: shape of the tail of the importance weights, also where emcee ran because it is
-    #: too large; None where no weights were computed
+    sampler: str = "emcee"
     pareto_k: Number = None
-    proposals: int = 0  #: points that were weighted
+    proposals: int = 0
 
     @staticmethod
     def largest_pareto_k(points: int) -> float:

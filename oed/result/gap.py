@@ -4,6 +4,8 @@ Names of the first block of fields of `Gap` are fixed by the contract. Sizes and
 residuals are in the fine unit of their channel. A number that is not known is null.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 
@@ -12,7 +14,8 @@ import msgspec
 from oed.result.prediction import PredictionSection
 from oed.result.record import Point, Probability, Record, Size
 
-UNKNOWN = "unknown"  #: an effect of an answer whose form no known effect has
+#: an effect of an answer whose form no known effect has
+UNKNOWN = "unknown"
 
 
 class CompensationName:
@@ -26,74 +29,92 @@ class CompensationName:
 
 
 class MixedAnswer(Record, frozen=True):
-    """An answer that the mixture holds, with its probability by the diagnosis."""
+    """An answer that the mixture holds, with its probability by the diagnosis.
 
-    #: that act, `unknown` for something of no known form; none: no gap
+    effects  that act, `unknown` for something of no known form; none: no gap
+    unseen   whether small effects of one common size act as well
+    """
+
     effects: tuple[str, ...]
     probability: Probability
-    unseen: bool = False  #: whether small effects of one common size act as well
+    unseen: bool = False
 
 
 class MixedParameter(Record, frozen=True):
-    """A parameter over all hypotheses, in `unit`."""
+    """A parameter over all hypotheses, in `unit`.
+
+    within     standard deviation that the answers have on average; the rest of `sd` is
+               between them
+    low, high  ends of the 95 % interval, quantiles of the mixture
+    """
 
     value: float
     sd: float
-    #: standard deviation that the answers have on average; the rest of `sd` is between
-    #: them
     within: Size
-    #: ends of the 95 % interval, quantiles of the mixture
     low: float
     high: float
     unit: str
 
 
 class CompensationChoice(Record, frozen=True):
-    """A compensation, and the rms error that all answers expect of it."""
+    """A compensation, and the rms error that all answers expect of it.
 
-    #: `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
-    #: geometry alone; `best answer with effects`, where effects are corrected;
-    #: `nothing`
+    name  `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
+          geometry alone; `best answer with effects`, where effects are corrected;
+          `nothing`
+    rms   {component: in its fine unit}
+    """
+
     name: str
-    rms: dict[str, float]  #: {component: in its fine unit}
+    rms: dict[str, float]
 
 
 class MixtureSection(Record, frozen=True):
-    """Parameters and accuracy over all hypotheses of a diagnosis."""
+    """Parameters and accuracy over all hypotheses of a diagnosis.
 
-    answers: list[MixedAnswer]  #: that were fitted, the decision's first
-    rest: float  #: probability of all others
+    answers     that were fitted, the decision's first
+    rest        probability of all others
+    controller  parameters for a controller that corrects geometry alone, in the units of
+                `parameters`: those of `sent`
+    sent        the choice of least expected error with the geometry alone; `mixture` is
+                the mean, shifted so that it takes up what is known of the effects
+    covariance  of `parameters`, in their units
+    choices     compensations and what all answers expect of each
+    prediction  with `controller` sent, over all hypotheses; null without a workspace
+    with_effects  the same with the parameters and the effects of the best answer sent;
+                null where none is corrected, or that is expected to be worse
+    words       in sentences
+    """
+
+    answers: list[MixedAnswer]
+    rest: float
     parameters: dict[str, MixedParameter]
-    covariance: list[list[float]]  #: of `parameters`, in their units
-    #: parameters for a controller that corrects geometry alone, in the units of
-    #: `parameters`: those of `sent`
+    covariance: list[list[float]]
     controller: dict[str, float] = {}
-    #: the choice of least expected error with the geometry alone; `mixture` is the
-    #: mean, shifted so that it takes up what is known of the effects
     sent: str = CompensationName.MIXTURE
-    #: compensations and what all answers expect of each
     choices: list[CompensationChoice] = []
-    #: with `controller` sent, over all hypotheses; null without a workspace
     prediction: PredictionSection | None = None
-    #: the same with the parameters and the effects of the best answer sent; null where
-    #: none is corrected, or that is expected to be worse
     with_effects: PredictionSection | None = None
-    words: list[str] = []  #: in sentences
+    words: list[str] = []
 
 
-Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]  #: two names
+#: two names
+Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]
 
 
 class SharedRecord(Record, frozen=True):
-    """A combination of an effect's coefficients that a rival imitates."""
+    """A combination of an effect's coefficients that a rival imitates.
+
+    detectability    sqrt(lambda) where nothing else acts
+    separation       sqrt(lambda) once the rival absorbs what it can
+    angle_deg        principal angle between the combination and the rival
+    """
 
     words: str
     combination: dict[str, float]
-    #: sqrt(lambda) where nothing else acts
     detectability: float = msgspec.field(name="seen")
-    #: sqrt(lambda) once the rival absorbs what it can
     separation: float = msgspec.field(name="apart")
-    angle_deg: float  #: principal angle between the combination and the rival
+    angle_deg: float
 
 
 class RivalRecord(Record, frozen=True):
@@ -108,26 +129,30 @@ class RivalRecord(Record, frozen=True):
 
 
 class DetectabilityRecord(Record, frozen=True):
-    """What could be found of one effect."""
+    """What could be found of one effect.
+
+    detectability  at its expected size, over the values of its constants from `low` to
+                   `high`; `power`: chance of finding it at 1 % false alarm
+    signature      rms of its readings at that size; `absorbed`: share of it that
+                   calibration absorbs
+    least, median  smallest rms that is found with 90 % power: in the form seen best,
+                   and typically
+    sizes          least size of each coefficient by itself
+    """
 
     name: str
     about: str
     columns: int
-    #: at its expected size, over the values of its constants from `low` to `high`;
-    #: `power`: chance of finding it at 1 % false alarm
     detectability: float
     low: float
     high: float
     power: float
     visible: bool
-    #: rms of its readings at that size; `absorbed`: share of it that calibration
-    #: absorbs
     signature: dict[str, float]
     absorbed: float
-    #: smallest rms that is found with 90 % power: in the form seen best, and typically
     least: dict[str, float | None]
     median: dict[str, float | None]
-    sizes: dict[str, float | None]  #: least size of each coefficient by itself
+    sizes: dict[str, float | None]
     rivals: list[RivalRecord]
     not_testable: str | None
 
@@ -346,22 +371,54 @@ class Spot(Record, frozen=True):
 
 
 class SecondVisitRecord(Record, frozen=True):
-    """Runs to read at a second visit, which separate the answers of a diagnosis best."""
+    """Runs to read at a second visit, which separate the answers of a diagnosis best.
+
+    poses                of each run, a reference pose among them
+    probability_now      that the likeliest set of effects is right, members of a class
+                         apart
+    probability_after    the same after the visit, expected
+    separations          what the runs separate, in the forms and sizes as estimated
+    inseparable          pairs of answers that no run of these separates further
+    words                what the visit is worth, in sentences
+    """
 
     runs: list[ChosenRun]
-    poses: list[int]  #: of each run, a reference pose among them
-    #: that the likeliest set of effects is right, members of a class apart
+    poses: list[int]
     probability_now: float
-    probability_after: float  #: the same after the visit, expected
-    #: what the runs separate, in the forms and sizes as estimated
+    probability_after: float
     separations: list[SeparationRecord]
-    #: pairs of answers that no run of these separates further
     inseparable: list[tuple[str, str]]
-    words: list[str] = []  #: what the visit is worth, in sentences
+    words: list[str] = []
 
 
 class GapSection(Record, frozen=True):
-    """The diagnosis of one set of readings."""
+    """The diagnosis of one set of readings.
+
+    verdict   none, effect, class (one of several that cannot be distinguished), mixture
+              (several, or one and an unknown remainder), unknown, scatter (beyond the
+              instrument, and no effect explains it)
+    scatter   of readings over the stated one, or over that between readings taken again
+              (`scatter_against`), with that verdict
+    scatter_shape  white, along the run, `run ID` or `leg K`
+    set95     the fewest sets of named effects that hold 95 % of the probability
+              together, whatever is beside them
+    constants  of each selected effect, SI
+    selected  effects of the best answer, `unknown` aside
+    rms_before, rms_after  rms residual of all readings by channel, without and with
+              the selected effects, as a fit by the stated noise leaves it
+    spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of
+              the stated noise)
+    unknown   what a remainder of unknown form is like, in words, with probabilities,
+              the likeliest first
+    nearest   effects that explain at least half of it, the nearest first: causes of its
+              kind, none of which has its form
+    left_out  effects that fit, but at sizes that are not believed: not named
+    effective_laws  number of equally good noise laws that the first answer rests on
+    words     one finding a sentence, the most important first
+    next      what to do about it
+    second_visit  readings that separate the answers; null where the first is sure
+    mixture   parameters and accuracy over all hypotheses; null where no answer can be used
+    """
 
     #: probability from which an answer, or an effect, is sure
     SURE_PROBABILITY: ClassVar[float] = 0.8
@@ -384,22 +441,17 @@ class GapSection(Record, frozen=True):
     #: probability of no gap that shows from which none is reported: cost over cost + 1
     NO_GAP_PROBABILITY: ClassVar[float] = 2.5 / 3.5
 
-    #: none, effect, class (one of several that cannot be distinguished), mixture
-    #: (several, or one and an unknown remainder), unknown, scatter (beyond the
-    #: instrument, and no effect explains it)
     verdict: Annotated[
         str, msgspec.Meta(pattern="^(none|effect|class|mixture|unknown|scatter)$")
     ]
     answers: list[AnswerRecord]
-    #: the fewest sets of named effects that hold 95 % of the probability together,
-    #: whatever is beside them
     set95: list[AnswerRecord]
     where: list[PlaceRecord]
     closure: list[ClosureRecord]
     not_testable: list[str]
     confusable: list[list[str]]
 
-    selected: list[str] = []  #: effects of the best answer, `unknown` aside
+    selected: list[str] = []
     tried: list[str] = []
     marginal: dict[str, float] = {}
     about: dict[str, EffectNote] = {}
@@ -407,36 +459,22 @@ class GapSection(Record, frozen=True):
     sizes: list[SizeRecord] = []
     noise: list[str] = []
     units: dict[str, str] = {}  # of each channel
-    #: rms residual of all readings by channel, without and with the selected effects,
-    #: as a fit by the stated noise leaves it
     rms_before: dict[str, float] = {}
     rms_after: dict[str, float] = {}
     traces: list[Trace] = []
-    #: rms residual by place of the tool, in `spots_unit` ("sigma": in units of the
-    #: stated noise)
     spots: list[Spot] = []
     spots_unit: str = "um"
-    words: list[str] = []  #: one finding a sentence, the most important first
-    next: list[str] = []  #: what to do about it
-    constants: dict[str, dict[str, float]] = {}  #: of each selected effect, SI
-    #: what a remainder of unknown form is like, in words, with probabilities, the
-    #: likeliest first
+    words: list[str] = []
+    next: list[str] = []
+    constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
-    #: effects that explain at least half of it, the nearest first: causes of its kind,
-    #: none of which has its form
     nearest: list[str] = []
-    #: effects that fit, but at sizes that are not believed: not named
     left_out: list[str] = []
-    #: of readings over the stated one, or over that between readings taken again
-    #: (`scatter_against`), with that verdict
     scatter: float | None = None
     scatter_against: str = ""
-    scatter_shape: str = ""  #: white, along the run, `run ID` or `leg K`
-    #: number of equally good noise laws that the first answer rests on
+    scatter_shape: str = ""
     effective_laws: float | None = None
-    #: readings that separate the answers; null where the first is sure
     second_visit: SecondVisitRecord | None = None
-    #: parameters and accuracy over all hypotheses; null where no answer can be used
     mixture: MixtureSection | None = None
 
     @property
@@ -459,7 +497,10 @@ class GapSection(Record, frozen=True):
 
     @property
     def effect_likely(self) -> bool:
-        """Whether an effect is reported, and more likely acts than not."""
+        """Whether an effect is reported, and more likely acts than not.
+
+        One that is less likely is a reason to read again, and none to correct it.
+        """
         return self.effect_reported and self.visible_probability > self.EVEN_PROBABILITY
 
 

@@ -1,5 +1,7 @@
 """What is planned, in result.json: what readings can see, the design, and its stages."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
@@ -46,17 +48,19 @@ class KappaMap(Record, frozen=True):
 
 
 class RecordedChoice(Record, frozen=True):
-    """A covariate to record, or a choice that lets effects be told apart."""
+    """A covariate to record, or a choice that lets effects be told apart.
+
+    gain      share by which the error falls: root mean square of the components, each in
+              units of what the plan leaves without it
+    readings  further readings like the plan's that would give the same without it; None
+              where no number does
+    """
 
     name: str  # column of the readings file, or name of a measurement
     words: str
     effects: list[str]  # that are functions of it
     accuracy: dict[str, float]
-    #: share by which the error falls: root mean square of the components, each in units
-    #: of what the plan leaves without it
     gain: float
-    #: further readings like the plan's that would give the same without it; None where
-    #: no number does
     readings: int | None
 
 
@@ -343,13 +347,15 @@ class SequenceRecord(Record, frozen=True):
 
 
 class PlanEffects(Record, frozen=True):
-    """The effects that a plan allows for, and the plan for a machine without them."""
+    """The effects that a plan allows for, and the plan for a machine without them.
+
+    without   that plan, with the accuracy that it reaches on a machine with the effects
+    promised  accuracy that it has on a machine without them, by component and fine unit
+    """
 
     groups: int
     unknowns: int  # combinations of them that the plan carries from stage to stage
-    #: that plan, with the accuracy that it reaches on a machine with the effects
     without: AlternativePlan
-    #: accuracy that it has on a machine without them, by component and fine unit
     promised: dict[str, float]
     words: str
     recording: RecordingSection | None = None  # what else to record

@@ -1,5 +1,7 @@
 """Accuracy in result.json: predicted with its budget, forecast, adjusted, accepted."""
 
+from __future__ import annotations
+
 import bisect
 from typing import Annotated, ClassVar, Literal
 
@@ -9,41 +11,52 @@ from oed.result.record import Judgement, Record, Size
 
 
 class PromiseRecord(Record, frozen=True):
-    """What an acceptance test demands of one pose component, in `unit`."""
+    """What an acceptance test demands of one pose component, in `unit`.
 
-    #: rms error over the workspace; of what no drive corrects, with further axes that
-    #: take the known error back
+    promised     rms error over the workspace; of what no drive corrects, with further
+                 axes that take the known error back
+    limit        largest rms of the measured errors that a machine at its promise has: it
+                 fails beyond
+    confirms     largest rms with which it meets its promise: a machine that misses stays
+                 below with a probability of 5 %; null where the test cannot confirm
+    power        probability that a machine which misses the promise is caught
+    uncertainty  standard uncertainty of one measured error
+    without      rms error over the workspace without additional axes, where no drive
+                 corrects the component
+    """
+
     promised: float
-    #: largest rms of the measured errors that a machine at its promise has: it fails
-    #: beyond
     limit: float
-    power: float  #: probability that a machine which misses the promise is caught
-    uncertainty: float  #: standard uncertainty of one measured error
+    power: float
+    uncertainty: float
     unit: str
-    #: rms error over the workspace without additional axes, where no drive corrects the
-    #: component
     without: float | None = None
-    #: largest rms with which it meets its promise: a machine that misses stays below
-    #: with a probability of 5 %; null where the test cannot confirm
     confirms: float | None = None
 
 
 class AcceptanceSection(Record, frozen=True):
-    """Which poses confirm the promised accuracy."""
+    """Which poses confirm the promised accuracy.
 
-    #: commands by column, in the order of the plan
+    poses        commands by column, in the order of the plan
+    components   {component: demand}
+    reference    against which errors are stated: absolute, home or best_fit
+    miss         factor on the promised rms of a machine that misses
+    false_alarm  probability that a machine at its promise fails
+    conditions   what the promise rests on
+    further      {component: demand} of what no drive corrects; measured or not
+    offsets      errors of these, known in advance, at each pose, in their units
+    healthy      {component: rms} that the plan predicted for a healthy machine, with all
+                 that is known corrected, in the components' units
+    """
+
     poses: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
-    components: dict[str, PromiseRecord]  #: {component: demand}
-    reference: str  #: against which errors are stated: absolute, home or best_fit
-    miss: float  #: factor on the promised rms of a machine that misses
-    false_alarm: float  #: probability that a machine at its promise fails
-    conditions: list[str] = []  #: what the promise rests on
-    #: {component: demand} of what no drive corrects; measured or not
+    components: dict[str, PromiseRecord]
+    reference: str
+    miss: float
+    false_alarm: float
+    conditions: list[str] = []
     further: dict[str, PromiseRecord] = {}
-    #: errors of these, known in advance, at each pose, in their units
     offsets: list[dict[str, float]] = []
-    #: {component: rms} that the plan predicted for a healthy machine, with all that is
-    #: known corrected, in the components' units
     healthy: dict[str, float] = {}
 
 
@@ -72,10 +85,13 @@ class VerdictRecord(Record, frozen=True):
 
 
 class PositioningRecord(Record, frozen=True):
-    """Figures in the manner of ISO 230-2, in `unit`; null where directions are missing."""
+    """Figures in the manner of ISO 230-2, in `unit`; null where directions are missing.
+
+    approaches  fewest of one direction at a target; the standard asks for five
+    """
 
     targets: int
-    approaches: int  #: fewest of one direction at a target; the standard asks for five
+    approaches: int
     accuracy: float
     systematic: float
     repeatability: float
@@ -85,18 +101,20 @@ class PositioningRecord(Record, frozen=True):
 
 
 class VerificationSection(Record, frozen=True):
-    """Whether the measured errors confirm the promise."""
+    """Whether the measured errors confirm the promise.
+
+    verdict  the worst of the components; null in results of older versions, whose tests
+             could not end in `cannot tell`
+    further  verdicts on what no drive corrects, as far as it was measured
+    healthy  {component: rms} that the plan predicted for a healthy machine
+    """
 
     passed: bool
     readings: int
     components: dict[str, VerdictRecord]
     positioning: dict[str, PositioningRecord] = {}
-    #: verdicts on what no drive corrects, as far as it was measured
     further: dict[str, VerdictRecord] = {}
-    #: {component: rms} that the plan predicted for a healthy machine
     healthy: dict[str, float] = {}
-    #: the worst of the components; null in results of older versions, whose tests could
-    #: not end in `cannot tell`
     verdict: Judgement | None = None
 
     @property
@@ -106,62 +124,84 @@ class VerificationSection(Record, frozen=True):
 
 
 class AdjustmentLine(Record, frozen=True):
-    """A parameter to move, in `unit`."""
+    """A parameter to move, in `unit`.
+
+    by       what moves it
+    steps    amount in steps of what moves it; None where it is turned continuously
+    sd       standard deviation of the fitter's error
+    without  total error of the list without this line, with the others chosen anew, in
+             the unit of the total
+    """
 
     parameter: str
     about: str
-    by: str  #: what moves it
+    by: str
     amount: float
     unit: str
-    sd: float  #: standard deviation of the fitter's error
-    #: total error of the list without this line, with the others chosen anew, in the
-    #: unit of the total
+    sd: float
     without: float
-    #: amount in steps of what moves it; None where it is turned continuously
     steps: int | None = None
 
 
 class AdjustedRecord(Record, frozen=True):
-    """Rms errors over the workspace after some lines."""
+    """Rms errors over the workspace after some lines.
 
-    total: float  #: after software compensates all identified parameters
-    corrected: dict[str, float]  #: the same by component
-    #: by component, with a controller that keeps its nominal parameters
+    total      after software compensates all identified parameters
+    corrected  the same by component
+    plain      by component, with a controller that keeps its nominal parameters
+    """
+
+    total: float
+    corrected: dict[str, float]
     plain: dict[str, float]
 
 
 class AdjustmentSection(Record, frozen=True):
-    """The shortest list of adjustments that is worth its work."""
+    """The shortest list of adjustments that is worth its work.
 
-    reference: str  #: against which errors are stated
-    poses: int  #: of the workspace
-    unit: dict[str, str]  #: of each component
-    about: str  #: what the total error is, and what does not count in it
-    lines: list[AdjustmentLine]  #: in order
-    accuracy: list[AdjustedRecord]  #: before the first line, and after each
-    conditions: list[str] = []  #: what the figures rest on
-    #: of the total error: um, or 1 where it is over what is wanted
+    reference   against which errors are stated
+    poses       of the workspace
+    unit        of each component
+    about       what the total error is, and what does not count in it
+    total_unit  of the total error: um, or 1 where it is over what is wanted
+    lines       in order
+    accuracy    before the first line, and after each
+    conditions  what the figures rest on
+    """
+
+    reference: str
+    poses: int
+    unit: dict[str, str]
+    about: str
+    lines: list[AdjustmentLine]
+    accuracy: list[AdjustedRecord]
+    conditions: list[str] = []
     total_unit: str = "1"
 
 
 class ForecastComponent(Record, frozen=True):
-    """Errors of one pose component against the reference, in `unit`, as rms."""
+    """Errors of one pose component against the reference, in `unit`, as rms.
+
+    expected       what calibration is expected to leave
+    planned        what interpolation between the nodes is predicted to leave, before a
+                   reading
+    measured       errors of the nodes as read
+    predicted      what the table is predicted to leave over the workspace, with the ends
+                   of its 95 % interval
+    left_out       errors of nodes less their prediction by all others; and as predicted
+    checked        what the table leaves at nodes that were not fitted; as predicted, the
+                   largest one, and the largest error without the table
+    """
 
     unit: str
-    expected: float  #: what calibration is expected to leave
-    #: what interpolation between the nodes is predicted to leave, before a reading
+    expected: float
     planned: float
-    measured: float | None = None  #: errors of the nodes as read
-    #: what the table is predicted to leave over the workspace, with the ends of its 95
-    #: % interval
+    measured: float | None = None
     predicted: float | None = None
     low: float | None = None
     high: float | None = None
-    #: errors of nodes less their prediction by all others; and as predicted
     left_out: float | None = None
     left_out_predicted: float | None = None
-    #: what the table leaves at nodes that were not fitted; as predicted, the largest
-    #: one, and the largest error without the table
     checked: float | None = None
     checked_predicted: float | None = None
     checked_max: float | None = None
@@ -169,59 +209,76 @@ class ForecastComponent(Record, frozen=True):
 
 
 class ForecastSection(Record, frozen=True):
-    """Which nodes to measure, and what the controller's table leaves."""
+    """Which nodes to measure, and what the controller's table leaves.
 
-    components: dict[str, ForecastComponent]  #: {component: figures}
-    reference: str  #: against which errors are stated: home or absolute
-    #: commands to measure, by column, the most useful one first
+    components  {component: figures}
+    reference   against which errors are stated: home or absolute
+    nodes       commands to measure, by column, the most useful one first
+    setup       set-up whose times count
+    minutes     time of mounting it and of reading all nodes
+    readings    number of rows read
+    table       nodes of the controller's table along each command coordinate
+    places      places of these nodes, by column of the command
+    corrections  what the table adds to the joints at its nodes, by column, the last
+                coordinate running fastest
+    whole       whether these also hold what identified parameters correct
+    sentences   what the figures rest on
+    """
+
+    components: dict[str, ForecastComponent]
+    reference: str
     nodes: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
-    setup: str  #: set-up whose times count
-    minutes: float  #: time of mounting it and of reading all nodes
-    readings: int = 0  #: number of rows read
-    #: nodes of the controller's table along each command coordinate
+    setup: str
+    minutes: float
+    readings: int = 0
     table: dict[str, int] = {}
-    #: places of these nodes, by column of the command
     places: dict[str, list[float]] = {}
-    #: what the table adds to the joints at its nodes, by column, the last coordinate
-    #: running fastest
     corrections: dict[str, list[float]] = {}
-    whole: bool = False  #: whether these also hold what identified parameters correct
-    sentences: list[str] = []  #: what the figures rest on
+    whole: bool = False
+    sentences: list[str] = []
 
 
 class BudgetLine(Record, frozen=True):
-    """A source of the errors of the compensated machine; values by pose component."""
+    """A source of the errors of the compensated machine; values by pose component.
 
-    source: str  #: its name
-    #: instrument, run, course, noise law, set-up, effects, prior or linearisation; with
-    #: a compensation file also interpolation, rounding or left out
+    source   its name
+    kind     instrument, run, course, noise law, set-up, effects, prior or linearisation;
+             with a compensation file also interpolation, rounding or left out
+    share    of the predicted variance; below 0 where a linear calculation predicts too
+             much
+    size     root of its variance, in the component's unit, with the sign of its share
+    without  rms error without it, the estimate adapted; null where nobody can remove it
+    halved   rms error with half its standard deviation, or null
+    """
+
+    source: str
     kind: str
-    #: of the predicted variance; below 0 where a linear calculation predicts too much
     share: dict[str, float]
-    #: root of its variance, in the component's unit, with the sign of its share
     size: dict[str, float]
-    #: rms error without it, the estimate adapted; null where nobody can remove it
     without: dict[str, float] | None = None
-    #: rms error with half its standard deviation, or null
     halved: dict[str, float] | None = None
 
 
 class UnmodelledLine(Record, frozen=True):
-    """Expected errors by an effect that the model lacks; values by pose component."""
+    """Expected errors by an effect that the model lacks; values by pose component.
+
+    size          rms error that it adds through calibration to the workspace
+    with_it       rms error of the compensated machine with it
+    expected      its expected size, in words
+    far           rms error with it at 30 times that size, the largest usual one
+    without       rms error of `usual.components` without it; absent from results of
+                  earlier versions
+    not_testable  why the readings cannot find it; null where they can
+    """
 
     effect: str
     about: str
-    expected: str  #: its expected size, in words
-    #: rms error that it adds through calibration to the workspace
+    expected: str
     size: dict[str, float]
-    with_it: dict[str, float]  #: rms error of the compensated machine with it
+    with_it: dict[str, float]
     remedy: str
-    #: why the readings cannot find it; null where they can
     not_testable: str | None = None
-    #: rms error with it at 30 times that size, the largest usual one
     far: dict[str, float] = {}
-    #: rms error of `usual.components` without it; absent from results of earlier
-    #: versions
     without: dict[str, float] = {}
 
 
@@ -230,38 +287,46 @@ class UsualEffects(Record, frozen=True):
 
     Values are rms errors by pose component, of those that the drives correct; of all where
     they correct none.
+
+    effects     their names
+    unmodelled  where the calibration knows none of them
+    fitted      where all are fitted with the parameters, and corrected with them
+    components  where all are fitted so, and a controller is sent parameters alone; `known`:
+                corrected with them. Absent from results of earlier versions
     """
 
-    effects: list[str]  #: their names
-    unmodelled: dict[str, float]  #: where the calibration knows none of them
-    #: where all are fitted with the parameters, and corrected with them
+    effects: list[str]
+    unmodelled: dict[str, float]
     fitted: dict[str, float]
-    #: where all are fitted so, and a controller is sent parameters alone; `known`:
-    #: corrected with them. Absent from results of earlier versions
-    components: "dict[str, ComponentAccuracy]" = {}
+    components: dict[str, ComponentAccuracy] = {}
 
 
 class BudgetSection(Record, frozen=True):
-    """Sources of the errors that remain, each component in its fine unit."""
+    """Sources of the errors that remain, each component in its fine unit.
 
-    #: rms error that the lines add up to; of what no drive corrects, with additional
-    #: axes that take the known error back
+    predicted   rms error that the lines add up to; of what no drive corrects, with
+                additional axes that take the known error back
+    no_axes     rms error of what no drive corrects, without additional axes
+    lines       of what the prediction contains
+    unmodelled  effects that it does not contain, at their expected sizes, the one that
+                costs `usual` most first
+    usual       the machine with all of these; null where none are listed
+    advice      what to improve first, in sentences
+    """
+
     predicted: dict[str, float]
-    lines: list[BudgetLine]  #: of what the prediction contains
-    #: effects that it does not contain, at their expected sizes, the one that costs
-    #: `usual` most first
+    lines: list[BudgetLine]
     unmodelled: list[UnmodelledLine] = []
-    #: the machine with all of these; null where none are listed
     usual: UsualEffects | None = None
-    advice: list[str] = []  #: what to improve first, in sentences
-    #: rms error of what no drive corrects, without additional axes
+    advice: list[str] = []
     no_axes: dict[str, float] = {}
 
 
 #: a figure of drawn machines, and its errors: one, or one for each end
 Figure = Annotated[str, msgspec.Meta(pattern="^(rms|p95|max)(_interval)?$")]
 MonteCarloErrors = Annotated[list[float], msgspec.Meta(min_length=1, max_length=2)]
-Interval = tuple[float, float]  #: lower and upper end
+#: lower and upper end
+Interval = tuple[float, float]
 #: what held-out readings say of a fit
 HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
 
@@ -326,17 +391,22 @@ class ComponentAccuracy(Record, frozen=True):
 
     @property
     def judged(self) -> SpreadRecord:
-        """What is compared with the wanted accuracy: of no drive, unknown."""
+        """What is compared with the wanted accuracy.
+
+        Of a component that no drive corrects, the unknown part, as criteria judge it.
+        """
         return self.after if self.compensatable else self.known
 
 
 class MapPoint(Record, frozen=True):
-    """1-sigma prediction at one workspace pose (user units), by component."""
+    """1-sigma prediction at one workspace pose (user units), by component.
+
+    at    tool point (3,) of the reference tool, m, in the base frame
+    """
 
     command: dict[str, float]
     before: dict[str, float]
     after: dict[str, float]
-    #: tool point (3,) of the reference tool, m, in the base frame
     at: Annotated[list[float], msgspec.Meta(max_length=3)] = []
 
 
@@ -395,6 +465,12 @@ class PredictionSection(Record, frozen=True):
 class HeldOutSection(Record, frozen=True):
     """Prediction of readings kept out of the fit; the new set-up's own unknowns are
     adjusted, but not in `rms_raw`.
+
+    predicted   rms that is predicted for the readings
+    rms_before  of the same readings with the nominal numbers in place of the fitted ones
+    verdict     confirms: the fit predicts them better than the nominal numbers do.
+                contradicts: worse, or fewer are inside than belong there. agrees: neither
+    words       the verdict in a sentence
     """
 
     name: str
@@ -406,24 +482,27 @@ class HeldOutSection(Record, frozen=True):
     coverage: float  # share of readings inside their 95 % predictive interval
     residuals: list[float]
     half_widths: list[float]  # of the 95 % predictive interval
-    predicted: float | None = None  #: rms that is predicted for the readings
-    #: of the same readings with the nominal numbers in place of the fitted ones
+    predicted: float | None = None
     rms_before: float | None = None
-    #: confirms: the fit predicts them better than the nominal numbers do. contradicts:
-    #: worse, or fewer are inside than belong there. agrees: neither
     verdict: HeldOutVerdict | None = None
-    words: str = ""  #: the verdict in a sentence
+    words: str = ""
 
 
 class WantedVerdict(Record, frozen=True):
-    """Verdict on one component's rms error over the workspace, in `unit`."""
+    """Verdict on one component's rms error over the workspace, in `unit`.
+
+    rms          predicted; wanted: what it is compared with
+    probability  that the rms error of this machine is at most what is wanted
+    scope        what the probability holds
+    confirmed    whether readings that no fit used agree with the prediction
+    decide       what would decide, where neither pass nor fail is stated
+    """
 
     judgement: Judgement
-    probability: float  #: that the rms error of this machine is at most what is wanted
-    rms: float  #: predicted; wanted: what it is compared with
+    probability: float
+    rms: float
     wanted: float
     unit: str
-    scope: str  #: what the probability holds
-    #: whether readings that no fit used agree with the prediction
+    scope: str
     confirmed: bool = False
-    decide: str = ""  #: what would decide, where neither pass nor fail is stated
+    decide: str = ""

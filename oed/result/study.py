@@ -5,6 +5,8 @@ Field names are fixed by the contract; values are SI unless a `unit` stands besi
 Arrays are lists.
 """
 
+from __future__ import annotations
+
 from typing import Annotated, ClassVar
 
 import msgspec
@@ -51,43 +53,54 @@ class Polyline(Record, frozen=True):
 
 
 class DrawingLabel(Record, frozen=True):
-    """Parameters at the point of the drawing (3,), m, that they move."""
+    """Parameters at the point of the drawing (3,), m, that they move.
+
+    text    the names, shortened: `da1x, y, z`
+    """
 
     at: Point
-    text: str  #: the names, shortened: `da1x, y, z`
+    text: str
     parameters: list[str]
 
 
 class Drawing(Record, frozen=True):
-    """The machine at its home pose and the planned tool points, m, base frame."""
+    """The machine at its home pose and the planned tool points, m, base frame.
+
+    bars             of each tool point, empty without a far end; none where no reading
+                     has one
+    runs, commands   of each tool point; commands in user units, empty where only joints
+                     are known
+    labels           where the machine's parameters act
+    """
 
     lines: list[Polyline]
     tool_points: list[Point]
     reading_of: list[str]  # set-up of each tool point
-    #: of each tool point, empty without a far end; none where no reading has one
     bars: list[
         Annotated[list[Point], msgspec.Meta(max_length=2)]
     ]  # reading's far end to tool point, where there is one
-    #: of each tool point; commands in user units, empty where only joints are known
     runs: list[str] = []
     commands: list[dict[str, float]] = []
-    labels: list[DrawingLabel] = []  #: where the machine's parameters act
+    labels: list[DrawingLabel] = []
 
 
 class MachineInfo(Record, frozen=True):
-    """The machine's table, in display units."""
+    """The machine's table, in display units.
+
+    parameters  rows of name, about, unit, nominal, tolerance; `held` where the
+                controller holds other values, `expected` where the prior mean is another
+    controller  what the study names as held by the controller; "" for nominal numbers
+    earlier     session whose posterior is the prior; "" for tolerances
+    fleet       results of other machines whose mean and spread are the prior
+    """
 
     name: str
     about: str
     source: str
-    #: rows of name, about, unit, nominal, tolerance; `held` where the controller holds
-    #: other values, `expected` where the prior mean is another
     parameters: list[dict[str, str | float]]
     frame: list[str]
-    #: what the study names as held by the controller; "" for nominal numbers
     controller: str = ""
-    earlier: str = ""  #: session whose posterior is the prior; "" for tolerances
-    #: results of other machines whose mean and spread are the prior
+    earlier: str = ""
     fleet: list[str] = []
 
 
@@ -141,7 +154,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     estimate: EstimateSection | None = None
     posterior: PosteriorSection | None = None
     prediction: PredictionSection | None = None
-    verdicts: dict[str, WantedVerdict] = {}  #: on each wanted accuracy, by component
+    #: on each wanted accuracy, by component
+    verdicts: dict[str, WantedVerdict] = {}
     held_out: list[HeldOutSection] = []
     gap: GapSection | None = None
     corrected: CorrectedSection | None = None

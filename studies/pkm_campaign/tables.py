@@ -25,36 +25,44 @@ from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 SUFFIX = ".campaign.toml"
-MAX_BYTES = 200_000  #: bytes of the largest campaign file
-MAX_CASES = 1_000_000  #: cases of the largest campaign
+#: bytes of the largest campaign file
+MAX_BYTES = 200_000
+#: cases of the largest campaign
+MAX_CASES = 1_000_000
 
 
 class CampaignFile(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """A campaign: every combination of the varied fields, and every seed."""
+    """A campaign: every combination of the varied fields, and every seed.
+
+    schema      version of the format, 1
+    name        of the campaign and its folder
+    title       for the report
+    study       a study file, relative to this one, or the name of a shipped study; its
+                virtual machines are the cases
+    case        in place of a study: a function (setting, seed) -> figures of a case, as
+                "path/to/file.py:function", relative to this file
+    summary     a function (cases of a combination, setting) -> its figures; means of a
+                case function's figures by default
+    seeds       cases of each combination
+    first_seed  the first case's seed; the others follow
+    diagnose    whether each machine's readings are diagnosed as well
+    vary        values by the field of the study, as in "noise.length_um" = [0.3, 1.0];
+                an entry of a list is addressed by its name, as in "setup.cup.tool_mm";
+                for a case function, by any name
+    """
 
     free_keys: ClassVar[None] = None
-    schema: int  #: version of the format, 1
-    name: Name  #: of the campaign and its folder
-    #: a study file, relative to this one, or the name of a shipped study; its virtual
-    #: machines are the cases
+    schema: int
+    name: Name
     study: str = ""
-    #: in place of a study: a function (setting, seed) -> figures of a case, as
-    #: "path/to/file.py:function", relative to this file
     case: str = ""
-    #: a function (cases of a combination, setting) -> its figures; means of a case
-    #: function's figures by default
     summary: str = ""
-    #: cases of each combination
     seeds: Annotated[int, msgspec.Meta(ge=1, le=MAX_CASES)]
-    title: str = ""  #: for the report
-    #: the first case's seed; the others follow
+    title: str = ""
     first_seed: Annotated[int, msgspec.Meta(ge=0)] = 1
-    diagnose: bool = False  #: whether each machine's readings are diagnosed as well
-    #: values by the field of the study, as in "noise.length_um" = [0.3, 1.0]; an entry
-    #: of a list is addressed by its name, as in "setup.cup.tool_mm"; for a case
-    #: function, by any name
+    diagnose: bool = False
     vary: dict[str, list[Any]] = {}
 
 

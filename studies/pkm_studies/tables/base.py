@@ -24,7 +24,8 @@ else:  # as the catalogue lists them
     IndexName = Literal[CRITERIA.indices]
 #: what a draft has in place of a number that nobody but its user knows
 TO_MEASURE: Final = "to be measured"
-DEFAULT_READINGS = 30  #: readings chosen where neither a number nor a budget is given
+#: readings chosen where neither a number nor a budget is given
+DEFAULT_READINGS = 30
 
 
 class StudyTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

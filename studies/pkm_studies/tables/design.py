@@ -18,8 +18,9 @@ from pkm_studies.tables.base import (
 )
 from pkm_studies.tables.grids import Axis, GridTable, OpenRange, Range, ReferenceTable
 
-
 # Tables of [design.limits]: joint travel, singularity, cones and obstacles.
+
+
 class ConeTable(StudyTable, frozen=True, kw_only=True):
     """Directions within a cone.
 
@@ -32,18 +33,27 @@ class ConeTable(StudyTable, frozen=True, kw_only=True):
 
 
 class SphereTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: a sphere."""
+    """An obstacle: a sphere.
 
-    at_mm: Triple  #: centre, base frame
-    radius_mm: Positive  #: of the sphere
+    at_mm      centre, base frame
+    radius_mm  of the sphere
+    """
+
+    at_mm: Triple
+    radius_mm: Positive
 
 
 class RodTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: all points near a line segment."""
+    """An obstacle: all points near a line segment.
 
-    from_mm: Triple  #: one end of the segment, base frame
-    to_mm: Triple  #: the other end
-    radius_mm: Positive  #: distance from the segment within which the obstacle is
+    from_mm    one end of the segment, base frame
+    to_mm      the other end
+    radius_mm  distance from the segment within which the obstacle is
+    """
+
+    from_mm: Triple
+    to_mm: Triple
+    radius_mm: Positive
 
 
 class LimitsTable(StudyTable, frozen=True, kw_only=True):
@@ -85,6 +95,8 @@ class LimitsTable(StudyTable, frozen=True, kw_only=True):
 
 
 # Tables of [design]: criterion, number of readings, polish, order, robustness.
+
+
 class PolishTable(StudyTable, frozen=True, kw_only=True):
     """[design.polish]: the chosen poses are moved off the grid to a local optimum.
 

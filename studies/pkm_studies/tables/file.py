@@ -27,11 +27,16 @@ from pkm_studies.tables.plan import PlanTable
 
 
 class ReportTable(StudyTable, frozen=True, kw_only=True):
-    """[report]: what the report holds."""
+    """[report]: what the report holds.
 
-    html: bool = True  #: whether to write report.html
-    pdf: bool = True  #: whether to write report.pdf and the measurement sheet
-    corner: Count = 6  #: number of directions in the corner plot of the posterior
+    html    whether to write report.html
+    pdf     whether to write report.pdf and the measurement sheet
+    corner  number of directions in the corner plot of the posterior
+    """
+
+    html: bool = True
+    pdf: bool = True
+    corner: Count = 6
 
 
 class ClaimTable(StudyTable, frozen=True, kw_only=True):

@@ -33,18 +33,21 @@ class ReadingsTable(StudyTable, frozen=True, kw_only=True):
 
 
 class IdentifyTable(StudyTable, frozen=True, kw_only=True):
-    """[identify]: how the parameters are fitted."""
+    """[identify]: how the parameters are fitted.
 
-    #: patterns of the parameters freed in turn; by default all at once
+    stages          patterns of the parameters freed in turn; by default all at once
+    max_iterations  of each stage
+    effects         effects beside the geometry that the readings are asked about, by name,
+                    or "catalogue": all that the machine can have, the default for readings
+                    of a machine. Parameters, accuracy and what a controller is sent are
+                    those over all hypotheses; "none": what is said holds for the geometry
+                    alone, the default for readings of a virtual machine
+    """
+
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [["*"]]
     )
-    max_iterations: Count = 50  #: of each stage
-    #: effects beside the geometry that the readings are asked about, by name, or
-    #: "catalogue": all that the machine can have, the default for readings of a
-    #: machine. Parameters, accuracy and what a controller is sent are those over all
-    #: hypotheses; "none": what is said holds for the geometry alone, the default for
-    #: readings of a virtual machine
+    max_iterations: Count = 50
     effects: Literal["none", "catalogue"] | list[str] | None = None
 
     @property

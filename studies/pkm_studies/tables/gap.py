@@ -6,8 +6,9 @@ import msgspec
 
 from pkm_studies.tables.base import NotNegative, Positive, RunCount, StudyTable
 
-
 # Tables of [gap.design]: runs that separate effects, and their conditions.
+
+
 class RunCondition(StudyTable, frozen=True, kw_only=True):
     """A condition under which a run can be taken.
 
@@ -58,6 +59,8 @@ class GapDesignTable(StudyTable, frozen=True, kw_only=True):
 
 
 # Tables of [gap]: effects that a diagnosis tries, and those of a virtual machine.
+
+
 class WarmingTable(StudyTable, frozen=True, kw_only=True):
     """A body that warms exponentially.
 

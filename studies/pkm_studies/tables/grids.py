@@ -8,9 +8,12 @@ from pkm_studies.tables.base import Count, Positive, StudyTable, Triple
 
 # Tables of poses as a user has them: circles, lines and cubes of tool points.
 
-CIRCLE_COUNT = 36  #: poses on a circle
-LINE_COUNT = 11  #: points on a line
-CUBE_COUNT = 3  #: points along an edge of a cube
+#: poses on a circle
+CIRCLE_COUNT = 36
+#: points on a line
+LINE_COUNT = 11
+#: points along an edge of a cube
+CUBE_COUNT = 3
 #: columns of the first and second axis of a circle's plane
 CIRCLE_PLANES: Final = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 
@@ -37,11 +40,15 @@ class CircleTable(StudyTable, frozen=True, kw_only=True):
 
 
 class LineTable(StudyTable, frozen=True, kw_only=True):
-    """Evenly spaced tool points on a straight line, in machine coordinates."""
+    """Evenly spaced tool points on a straight line, in machine coordinates.
 
-    from_mm: Triple  #: first point
-    to_mm: Triple  #: last point
-    #: number of points
+    from_mm  first point
+    to_mm    last point
+    count    number of points
+    """
+
+    from_mm: Triple
+    to_mm: Triple
     count: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = LINE_COUNT
 
 
@@ -59,6 +66,8 @@ class CubeTable(StudyTable, frozen=True, kw_only=True):
 
 
 # Tables of grids: ranges and spaced values of coordinates, and a set-up's poses.
+
+
 class Span(StudyTable, frozen=True, kw_only=True):
     """Evenly spaced values in the unit of the field.
 
@@ -140,10 +149,13 @@ class GridTable(StudyTable, frozen=True, kw_only=True):
 
 
 class ReferenceTable(GridTable, frozen=True, kw_only=True):
-    """[[design.reference]]: a plan to compare with, in the fields of candidates."""
+    """[[design.reference]]: a plan to compare with, in the fields of candidates.
+
+    name  of the plan; tables of one name make one plan
+    """
 
     free_keys = "coordinates"
-    name: str  #: of the plan; tables of one name make one plan
+    name: str
 
 
 class KappaTable(StudyTable, frozen=True, kw_only=True):

@@ -192,11 +192,14 @@ class ToleranceTable(StudyTable, frozen=True, kw_only=True):
 
 
 class CorrelatedTable(StudyTable, frozen=True, kw_only=True):
-    """[[prior.correlated]]: parameters of the machine whose errors have a common cause."""
+    """[[prior.correlated]]: parameters of the machine whose errors have a common cause.
 
-    parameters: list[str]  #: names or patterns, as in `["dq*"]`
-    #: between each two of them, below 1: 0.9 for legs of one batch, below 0 where one
-    #: is long if another is short
+    parameters   names or patterns, as in `["dq*"]`
+    correlation  between each two of them, below 1: 0.9 for legs of one batch, below 0
+                 where one is long if another is short
+    """
+
+    parameters: list[str]
     correlation: Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 
 
