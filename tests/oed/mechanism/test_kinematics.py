@@ -307,4 +307,4 @@ def test_the_twist_of_a_turn_about_z():
 @pytest.mark.parametrize("head", [a3_head, a3])
 def test_model_and_oracle_have_the_dimensions_of_table_1(head):
     expected = paper.A, paper.B, paper.C, paper.D
-    assert (head.A, head.B, head.C, head.D) == expected
+    assert expected == (head.A, head.B, head.C, head.D)
