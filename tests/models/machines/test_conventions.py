@@ -17,6 +17,7 @@ from oed import units
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_models.machines import a3_head, prs_spindle
+from pkm_models.machines.parts import legs
 from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.commands import main
@@ -206,3 +207,12 @@ def test_cables_pay_out_as_they_grow(name):
         _, moved = kinematics.inverse(command[None])
         assert moved[0, k] > q[0, k]
         assert "paid out" in joint.about or "paying out" in joint.about
+
+
+def test_tilts_lean_a_guide_towards_its_sides():
+    """By hand: small tilts a and b of a guide along z, with sides x and y."""
+    tilts = {"tilt1a": 0.03, "tilt1b": -0.04}
+    along, sides = np.eye(3)[2], np.eye(3)[:2]
+    direction = np.array(legs.direction(tilts, 1, along, sides)).ravel()
+    expected = np.array([0.03, -0.04, 1.0])
+    assert direction == pytest.approx(expected / np.linalg.norm(expected))

@@ -37,6 +37,18 @@ def plans_that_keep(quotas: QuotaSet) -> list[tuple[int, ...]]:
     return [plan for plan in plans if keeps(quotas, plan)]
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_replacement_keeps_the_quotas_of_a_plan_that_keeps_them(seed):
+    quotas = random_quotas(np.random.default_rng(seed), 5)
+    for plan in plans_that_keep(quotas)[:20]:
+        removed, *remaining = plan
+        may_come = quotas.replacements(np.array(remaining), removed)
+        others = [c for c in range(COUNT) if c not in remaining]
+        assert [may_come[c] for c in others] == [
+            keeps(quotas, (*remaining, c)) for c in others
+        ]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_feasibility_is_that_of_all_subsets(seed):
     rng = np.random.default_rng(seed)

@@ -173,3 +173,7 @@ def test_channels_that_are_not_there_are_refused():
         toy().take_channels(["a", "d"])
     with pytest.raises(ValueError, match="at least"):
         toy().take_channels([])
+
+
+def test_without_a_tool_the_reference_point_is_read():
+    assert CUP.tool == (0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from msgspec.structs import replace
 from report_fixture import check_box, result_of, shown_text
 
-from oed.result import PlannedReading, PlanSection, StudyResult
+from oed.result import PlannedReading, PlanSection, Sd, StudyResult
 from pkm_reports import sections, style, write_sheet
 from pkm_reports.blocks import Paragraph, Picture
 from pkm_reports.page import Document, sheet
@@ -367,3 +367,13 @@ def test_the_sheet_is_the_same_each_time_and_needs_poses(tmp_path):
     assert first == again
     with pytest.raises(ValueError, match="needs poses"):
         write_sheet(result_of(report_fixture.bare()), None, tmp_path)
+
+
+def test_a_stage_names_what_it_improves_most_and_nothing_that_gets_worse():
+    before = {"arm1": Sd(1.0, "mm"), "arm2": Sd(1.0, "mm"), "arm3": Sd(0.1, "mm")}
+    after = {"arm1": Sd(0.1, "mm"), "arm2": Sd(0.02, "mm"), "arm3": Sd(1.0, "mm")}
+    told = stages._most_improved(before, after)
+    assert told.index("arm2") < told.index("arm1")
+    assert "(50×)" in told
+    assert "arm3" not in told
+    assert stages._most_improved(after, {"arm1": Sd(0.1, "mm")}) == "none"
