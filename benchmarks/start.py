@@ -32,7 +32,7 @@ try:
 except SystemExit:
     pass
 heavy = "casadi", "numpy", "pandas", "scipy", "matplotlib", "arviz_stats", "typst"
-print(*[name for name in heavy if name in sys.modules])
+print("loaded:", *[name for name in heavy if name in sys.modules])
 """
 
 
@@ -53,7 +53,7 @@ def run(code: str, *arguments: str) -> tuple[float, str]:
     after = os.times()
     seconds = after.children_user - before.children_user
     seconds += after.children_system - before.children_system
-    return seconds, done.stdout.strip().rpartition("\n")[2]
+    return seconds, done.stdout.rpartition("loaded:")[2].strip()
 
 
 def main() -> None:
