@@ -532,8 +532,8 @@ def _add_section(
         section = add_least_error(section, corrected, accuracy, plain)
     turned = corrected.turned_runs()
     if turned is not None:
-        names, ratios = [run for _, run in turned.runs], (turned.before, turned.after)
-        return _mark_turned_runs(state, section, names, ratios)
+        names = [run for _, run in turned.runs]
+        return _mark_turned_runs(state, section, names, turned.before, turned.after)
     state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
@@ -546,13 +546,14 @@ def _mark_turned_runs(
     state: Fitted,
     section: CorrectedSection,
     turned: Sequence[str],
-    ratios: tuple[float, float],
+    before: float,
+    after: float,
 ) -> Fitted:
     """The state whose first finding is runs that were driven the other way than written.
 
-    ratios  residuals over the stated noise as given, and with these runs turned
+    before, after  residuals over the stated noise as given, and with these runs turned
     """
-    names, (before, after) = ", ".join(turned), ratios
+    names = ", ".join(turned)
     runs, were = ("run", "was") if len(turned) == 1 else ("runs", "were")
     effects = " and ".join(section.constants)
     sentence = (
@@ -588,14 +589,11 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
         return state
     true = {}
     if checked is not None and checked.bad_fit:
-        renamed = resolved_sentences(section, findings)
-        sentences = [
-            renamed.get(sentence, sentence) for sentence in state.goodness.findings
-        ]
-        goodness = msgspec.structs.replace(
-            state.goodness, findings=sentences, bad_fit=False
-        )
         true = resolved_sentences(section, findings)
+        renamed = [true.get(finding, finding) for finding in state.goodness.findings]
+        goodness = msgspec.structs.replace(
+            state.goodness, findings=renamed, bad_fit=False
+        )
         state = state.add_sections(goodness=goodness)
     # The fit without effects is not delivered: its own section keeps its warnings.
     plain = set(state.estimate_section.warnings)
