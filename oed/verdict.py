@@ -97,7 +97,7 @@ def accuracy_verdicts(
             unit=spread.unit,
             scope=holds,
             confirmed=_is_confirmed(result, name, limit),
-            decide=_deciding(judgement, probability, doubt, section.mode),
+            decide=_what_decides(judgement, probability, doubt, section.mode),
         )
     return verdicts
 
@@ -135,7 +135,9 @@ def _is_confirmed(result: StudyResult, name: str, wanted: float) -> bool:
     return "confirms" in verdicts and "contradicts" not in verdicts
 
 
-def _deciding(judgement: Judgement, probability: float, doubt: str, mode: str) -> str:
+def _what_decides(
+    judgement: Judgement, probability: float, doubt: str, mode: str
+) -> str:
     if judgement != "cannot tell":
         return ""
     if doubt:

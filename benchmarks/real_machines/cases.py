@@ -132,7 +132,7 @@ def tool_shifts(
     for series, state in zip(problem.series, problem.states, strict=True):
         kinematics = bench.measurement.kinematics
         tool = np.array(bench.measurement.setups[series.setup].tool)
-        slopes = kinematics.slopes.parameter_slopes(
+        slopes = kinematics.slopes.pose_by_parameter(
             state.pose, state.joints, problem.theta[:count]
         )
         frames = kinematics.frames(state.pose, tool)[2]

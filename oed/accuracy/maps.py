@@ -109,7 +109,7 @@ def raw_maps_of_machines(
     p = np.repeat(parameters, len(poses), axis=0)
     x, q = kinematics.inverse(np.tile(poses, (count, 1)), p, tool)
     rotation, point, twist = kinematics.frames(x, tool)
-    raw = twist @ kinematics.slopes.parameter_slopes(x, q, p)
+    raw = twist @ kinematics.slopes.pose_by_parameter(x, q, p)
     slope = kinematics.error_components_jacobian(command)
     maps = []
     for rows in consecutive_slices([len(poses)] * count):

@@ -33,12 +33,14 @@ def curve_mode(
     values beyond; detrend: 1 for curves without their mean, 2 without their slope
     either.
     """
-    grid, modes = _modes(correlation_length, count, detrend)
+    grid, modes = _curve_modes(correlation_length, count, detrend)
     return np.asarray(np.interp(positions, grid, modes[number]))
 
 
 @functools.cache
-def _modes(correlation_length: float, count: int, detrend: int) -> tuple[Array, Array]:
+def _curve_modes(
+    correlation_length: float, count: int, detrend: int
+) -> tuple[Array, Array]:
     """Places (N_POINTS,) in the span, and the modes (count, N_POINTS), largest first."""
     grid: Array = (np.arange(N_POINTS, dtype=float) + 0.5) * (2.0 / N_POINTS) - 1.0
     distance = np.abs(grid[:, None] - grid)

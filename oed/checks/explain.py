@@ -73,8 +73,8 @@ def candidates(
     """Mistakes to fit: the likeliest in the linear model, then those of each kind."""
     every = _scored(screening, trials(data, of_noise=of_noise))
     if cuts_are_coarse(data.session):
-        every += _scored(screening, _nearby_parts(data, every))
-    every += _scored(screening, _runs_trials(data, every))
+        every += _scored(screening, _neighbouring_parts(data, every))
+    every += _scored(screening, _several_runs_trials(data, every))
     every += _improved(data, screening, every)
     priors = log_priors([one.trial for one in every])
     every = [
@@ -175,7 +175,9 @@ def _alike(members: Sequence[Candidate]) -> list[Candidate]:
     return [members[0], *alike[: MAX_OF_KIND - 1]]
 
 
-def _nearby_parts(data: Suspect, every: Sequence[Candidate]) -> Iterator[MistakeTrial]:
+def _neighbouring_parts(
+    data: Suspect, every: Sequence[Candidate]
+) -> Iterator[MistakeTrial]:
     """Mistakes of rows that begin or end near those of the likeliest ones."""
     of_rows = [one for one in every if one.trial.scope.level == "rows"]
     likeliest = [one.trial.scope for one in _likeliest_first(of_rows)[:3]]
@@ -186,7 +188,9 @@ def _nearby_parts(data: Suspect, every: Sequence[Candidate]) -> Iterator[Mistake
 
 
 # -- mistakes of several runs ----------------------------------------------------------
-def _runs_trials(data: Suspect, every: Sequence[Candidate]) -> Iterator[MistakeTrial]:
+def _several_runs_trials(
+    data: Suspect, every: Sequence[Candidate]
+) -> Iterator[MistakeTrial]:
     """Each mistake of runs in the two, three, ... runs where it is likeliest alone."""
     by_form: dict[OnScope, list[MistakeTrial]] = {}
     for one in _likeliest_first(every):

@@ -87,7 +87,7 @@ def _judge_by_law(
     law, model = estimated_law(search.rest)
     if law.size(model.structure) > GUESS_RATIO:
         return None
-    p_low, p_high, p_strain = _probabilities(law, model)
+    p_low, p_high, p_strain = _probabilities_under(law, model)
     fitted = dataclasses.replace(
         goodness(search.rest), law_p_low=p_low, law_p_high=p_high
     )
@@ -155,11 +155,13 @@ def goodness_of_delivered(
     model = ResidualModel(structure, residual, slopes, estimate.z)
     laws = posterior.prior.laws(posterior.mode[None])
     law = _checked_law(structure, laws, estimate.theta)
-    p_low, p_high, _ = _probabilities(law, model)
+    p_low, p_high, _ = _probabilities_under(law, model)
     return dataclasses.replace(fitted, law_p_low=p_low, law_p_high=p_high)
 
 
-def _probabilities(law: CheckedLaw, model: ResidualModel) -> tuple[float, float, float]:
+def _probabilities_under(
+    law: CheckedLaw, model: ResidualModel
+) -> tuple[float, float, float]:
     """Probabilities of less and of more, and that of strain, under a law of the
     largest or the least scale that a stated one is good for.
     """

@@ -213,7 +213,7 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     machine = kinematics.machine
     driven = [k for k, c in enumerate(machine.components) if c.compensatable]
     x, q = kinematics.inverse(command)
-    by_joint = kinematics.slopes.joint_slopes(x, q, machine.nominal)
+    by_joint = kinematics.slopes.pose_by_joint(x, q, machine.nominal)
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
     motion_per_target = kinematics.error_components_jacobian(command)
     return (motion_per_target @ twist)[:, driven]

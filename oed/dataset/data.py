@@ -40,12 +40,14 @@ def reading_digests(
     for s in series:
         channels = [c.name for c in setups[s.setup].instrument.channels]
         end = start + len(s) * len(channels)
-        distinct.update(_digests(s, y[start:end].reshape(len(s), -1), channels))
+        distinct.update(_series_digests(s, y[start:end].reshape(len(s), -1), channels))
         start = end
     return sorted(distinct)
 
 
-def _digests(series: Series, values: Array, channels: Sequence[str]) -> Iterator[str]:
+def _series_digests(
+    series: Series, values: Array, channels: Sequence[str]
+) -> Iterator[str]:
     """Digests of values (n, channels) of one series."""
     pairs = zip(series.command, series.q, strict=True)
     poses = [_text(q if np.isnan(command).any() else command) for command, q in pairs]

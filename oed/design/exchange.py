@@ -186,10 +186,10 @@ def choose(
         value = goal.value(base + information(blocks[best]))
         choice = _choice(problem, best, value, columns)
         return choice.add_bound(goal, value, value, 0.0)
-    guiding = _guide(goal, directions, rules)
+    guiding = _guiding_criterion(goal, directions, rules)
     guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
-    starts = _greedy(evaluator, rules, guide.weights)
+    starts = _greedy_plans(evaluator, rules, guide.weights)
     best = search(evaluator, rules, guide.weights, guide.gradient, starts, rng, rounds)
     value = evaluator.value(best)
     if not rules.satisfied(best):
@@ -280,7 +280,9 @@ def greedy_d(blocks: Array, size: int, base: Array) -> Index:
     return select_greedily(evaluator, Rules(size=size), evaluator.ridge())
 
 
-def _greedy(evaluator: CriterionEvaluator, rules: Rules, weights: Array) -> list[Index]:
+def _greedy_plans(
+    evaluator: CriterionEvaluator, rules: Rules, weights: Array
+) -> list[Index]:
     """Greedy plans by D, and by the criterion, which may be -inf for all at first."""
     determinant = Determinant(evaluator.base.shape[0])
     guides = [dataclasses.replace(evaluator, criterion=determinant)]
@@ -317,7 +319,9 @@ def _check_size(blocks: Array, rules: Rules) -> None:
         )
 
 
-def _guide(criterion: Criterion, directions: int, rules: Rules) -> Criterion:
+def _guiding_criterion(
+    criterion: Criterion, directions: int, rules: Rules
+) -> Criterion:
     """The criterion that guides the search: smooth or, under quotas, conic."""
     if criterion.smooth or (rules.quotas is not None and criterion.concave):
         return criterion

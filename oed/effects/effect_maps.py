@@ -207,7 +207,7 @@ def effect_maps(
     machine = kinematics.machine
     model = ErrorModel.of(kinematics, machine.and_home(command, tool), tool)
     tools = kinematics.frames(state.pose, tool)[2]
-    by_joint = tools @ kinematics.slopes.joint_slopes(
+    by_joint = tools @ kinematics.slopes.pose_by_joint(
         state.pose, state.joints, parameters
     )
     raw, remaining = [], []

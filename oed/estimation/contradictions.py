@@ -190,7 +190,7 @@ def _record(
     for s in series:
         x = whole.poses(s, theta)
         p = theta[: len(whole.machine.parameters)]
-        dx = whole.kinematics.slopes.parameter_slopes(x, s.q, p) @ change[: len(p)]
+        dx = whole.kinematics.slopes.pose_by_parameter(x, s.q, p) @ change[: len(p)]
         twist = whole.kinematics.frames(x, np.zeros(3))[2]
         shifts.append(np.einsum("nij,nj->ni", twist, dx)[:, :3])
     shift = np.vstack(shifts)

@@ -182,7 +182,7 @@ class JointErrors:
         """Twists (n, 6, q) per error of each joint; of the struts where they are stated."""
         kinematics, machine = self.kinematics, self.kinematics.machine
         x, q = kinematics.inverse(command)
-        by_joint = kinematics.slopes.joint_slopes(x, q, machine.nominal)
+        by_joint = kinematics.slopes.pose_by_joint(x, q, machine.nominal)
         if machine.struts is not None:
             by_joint = by_joint * kinematics.struts(x, q, machine.nominal)[2][:, None]
         return np.asarray(kinematics.frames(x, NO_TOOL)[2] @ by_joint)
@@ -356,7 +356,7 @@ class ErrorField:
             rng,
         )
         interpolation = grid.errors.max(axis=0) ** 2
-        drawn = _rms(covariance, shape, rng)
+        drawn = _rms_draws(covariance, shape, rng)
         low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
         return Forecast(
             field=self,
@@ -554,7 +554,9 @@ class Forecast:
         return widened, residual, np.sqrt(variance)
 
 
-def _rms(covariance: Array, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+def _rms_draws(
+    covariance: Array, shape: tuple[int, int], rng: np.random.Generator
+) -> Array:
     """Rms (N_DRAWS, k) over the workspace of draws of what the field leaves."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -196,7 +196,7 @@ def _pose_jacobians(assessment: Assessment) -> tuple[Array, Array, Array]:
         tool = np.array(measurement.setups[s.setup].tool)
         x = measurement.poses(s, measurement.nominal)
         rotation, _, twist = kinematics.frames(x, tool)
-        jacobian = twist @ kinematics.slopes.parameter_slopes(x, s.q, nominal)
+        jacobian = twist @ kinematics.slopes.pose_by_parameter(x, s.q, nominal)
         in_tool_frame = np.swapaxes(rotation, 1, 2) @ jacobian[:, 3:]
         parameters = jacobian.shape[2]
         position.append(jacobian[:, :3].reshape(-1, parameters))

@@ -200,8 +200,8 @@ class SetupReadings:
         x = self.poses(series, vectors, strict=True)
         p = theta[: self._count]
         by_pose, by_setup, by_parameter = self._jacobians(series, x, vectors)
-        by_joint = self._kinematics.slopes.joint_slopes(x[0], series.q, p)
-        sensitivity = self._kinematics.slopes.parameter_slopes(x[0], series.q, p)
+        by_joint = self._kinematics.slopes.pose_by_joint(x[0], series.q, p)
+        sensitivity = self._kinematics.slopes.pose_by_parameter(x[0], series.q, p)
         pairs = list(zip(by_pose, series.pose_indices(), strict=True))
         joints = [jacobian @ by_joint[k] for jacobian, k in pairs]
         at_fixed_poses = self.model.joint_jacobians(self._inputs(series, x, vectors))

@@ -41,10 +41,12 @@ def draw_parameters(
     theta = measurement.nominal + draw_deviations(measurement, rng, shape)
     if not measurement.bounded.size:
         return np.asarray(theta)
-    return _redraw(measurement, np.atleast_2d(theta), rng).reshape(shape)
+    return _redraw_outside(measurement, np.atleast_2d(theta), rng).reshape(shape)
 
 
-def _redraw(measurement: Measurement, theta: Array, rng: np.random.Generator) -> Array:
+def _redraw_outside(
+    measurement: Measurement, theta: Array, rng: np.random.Generator
+) -> Array:
     """Parameters (m, n) within bounds. Raises ValueError where hardly any are."""
     for _ in range(MAX_DRAWS):
         outside = np.flatnonzero(~measurement.in_bounds(theta))

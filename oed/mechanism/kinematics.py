@@ -196,7 +196,7 @@ class Kinematics:
         self._components = BatchedFunction("components", [e.c, twist], [components])
         self._components_slope = BatchedFunction("components_slope", [e.c], [slope])
         self._struts = _strut_function(machine, e)
-        self._skeleton = _polylines(machine, e)
+        self._skeleton = _skeleton_functions(machine, e)
 
     def with_priors_of(self, machine: Machine) -> "Kinematics":
         """The same for other tolerances and bounds. Raises ValueError for more."""
@@ -357,13 +357,15 @@ class Kinematics:
         """
         home_x, home_q = self.inverse(self.machine.home_command)
         try:
-            return self._follow(home_x, home_q, q, HOMING_STEPS)
+            return self._follow_joints(home_x, home_q, q, HOMING_STEPS)
         except AssemblyError:
             if not patient:
                 raise
-            return self._follow(home_x, home_q, q, FINER_HOMING_STEPS)
+            return self._follow_joints(home_x, home_q, q, FINER_HOMING_STEPS)
 
-    def _follow(self, home_x: Array, home_q: Array, q: Array, steps: int) -> Array:
+    def _follow_joints(
+        self, home_x: Array, home_q: Array, q: Array, steps: int
+    ) -> Array:
         """Poses (n, nx) followed from home to joints q (n, nq). Raises AssemblyError."""
         p = self.machine.nominal
         x = np.broadcast_to(home_x, (q.shape[0], home_x.shape[1]))
@@ -436,7 +438,9 @@ def _strut_function(machine: Machine, e: MachineExpressions) -> BatchedFunction 
     return BatchedFunction("struts", [e.x, e.q, e.p], ends)
 
 
-def _polylines(machine: Machine, e: MachineExpressions) -> list[BatchedFunction]:
+def _skeleton_functions(
+    machine: Machine, e: MachineExpressions
+) -> list[BatchedFunction]:
     """One function a polyline; none where the machine has no skeleton."""
     if machine.skeleton is None:
         return []

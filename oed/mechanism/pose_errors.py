@@ -84,8 +84,8 @@ class ErrorModel:
         """
         p = kinematics.machine.nominal if parameters is None else parameters
         x, q = kinematics.inverse(command, p, tool)
-        by_joint = kinematics.slopes.joint_slopes(x, q, p)
-        by_parameter = kinematics.slopes.parameter_slopes(x, q, p)
+        by_joint = kinematics.slopes.pose_by_joint(x, q, p)
+        by_parameter = kinematics.slopes.pose_by_parameter(x, q, p)
         joints = kinematics.joint_slopes(x, q, p, command, tool)
         rotation, point, twist = kinematics.frames(x, tool)
         return cls(

@@ -45,7 +45,7 @@ class PoseSlopes:
         """phi_x (n, rows, nx): of a redundant machine, of all its equations."""
         return self._closure_slope(x, q, p)[0]
 
-    def parameter_slopes(self, x: Array, q: Array, p: Array) -> Array:
+    def pose_by_parameter(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
         by_x, by_p, _ = self._equations.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_p)
@@ -64,13 +64,13 @@ class PoseSlopes:
         )
         rest = np.flatnonzero(~np.isfinite(condition))
         if rest.size:
-            sensitivity, condition[rest] = self.parameter_slopes_with_condition(
+            sensitivity, condition[rest] = self.pose_by_parameter_with_condition(
                 x[rest], q[rest], p[rest]
             )
             rows[rest] = -slopes[rest] @ sensitivity
         return -rows, condition
 
-    def parameter_slopes_with_condition(
+    def pose_by_parameter_with_condition(
         self, x: Array, q: Array, p: Array
     ) -> tuple[Array, Array]:
         """dx/dp (n, nx, np), joints fixed, and |phi_x| |phi_x^-1| (n,)."""
@@ -91,7 +91,7 @@ class PoseSlopes:
         """Those of poses x (m, poses, nx) with joints q (m, poses, nq), p (m, np)."""
         return PoseAdjoints(self, x, q, p)
 
-    def joint_slopes(self, x: Array, q: Array, p: Array) -> Array:
+    def pose_by_joint(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
         by_x, _, by_q = self._equations.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_q)
@@ -164,7 +164,7 @@ class PoseAdjoints:
     def _pull_back_single(self, slopes: Array, pose: int) -> Array:
         """As `pull_back`, of readings that see one pose."""
         m, n, channels, nx = slopes.shape
-        sensitivity, condition = self._slopes.parameter_slopes_with_condition(
+        sensitivity, condition = self._slopes.pose_by_parameter_with_condition(
             self._x[:, pose], self._q[:, pose], self._p
         )
         self._check(condition)

@@ -237,7 +237,9 @@ def _first_channel(measurement: Measurement, series: Series) -> Array:
     return readings.reshape(len(series), -1)[:, 0]
 
 
-def _off_hold(plan: ReadingPlan, series: Series, travel: float | None) -> Array | None:
+def _hold_errors(
+    plan: ReadingPlan, series: Series, travel: float | None
+) -> Array | None:
     """Distance (n,) of readings beyond travel about a held value; None without one."""
     setup = plan.setup(series)
     if setup.instrument.fixed_reading is None:
@@ -249,7 +251,7 @@ def _off_hold(plan: ReadingPlan, series: Series, travel: float | None) -> Array 
 
 def largest_hold_error(plan: ReadingPlan, travel: float | None) -> float:
     """Largest distance (m, rad) of a reading from the value held, beyond the travel."""
-    errors = [_off_hold(plan, series, travel) for series in plan.series]
+    errors = [_hold_errors(plan, series, travel) for series in plan.series]
     largest = [float(np.abs(e).max()) for e in errors if e is not None]
     return max(largest, default=0.0)
 
@@ -266,7 +268,7 @@ def restore_hold(plan: ReadingPlan, travel: float | None) -> ReadingPlan:
 
 def _newton_step(plan: ReadingPlan, series: Series, travel: float | None) -> Array:
     """Commands after the least step that restores each reading's hold to first order."""
-    error = _off_hold(plan, series, travel)
+    error = _hold_errors(plan, series, travel)
     command = series.command
     if error is None:
         return command
@@ -317,7 +319,7 @@ def find_fault(
     for series in plan.series:
         fault = _range_fault(plan, series)
         if fault is None and clearance is not None:
-            fault = _singular_fault(plan, series, clearance)
+            fault = _singularity_fault(plan, series, clearance)
         if fault is not None:
             return fault
     if hold and (error := largest_hold_error(plan, travel)) > HOLD_TOLERANCE:
@@ -341,7 +343,9 @@ def _range_fault(plan: ReadingPlan, series: Series) -> str | None:
     return None
 
 
-def _singular_fault(plan: ReadingPlan, series: Series, clearance: float) -> str | None:
+def _singularity_fault(
+    plan: ReadingPlan, series: Series, clearance: float
+) -> str | None:
     """Poses too near to a singular one."""
     determinant = symbolic_pose(plan.measurement.machine).determinant
     values = determinant.map(len(series.q))(series.start.T, series.q.T)

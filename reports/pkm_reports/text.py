@@ -25,9 +25,7 @@ MARKS: Final[dict[Judgement, str]] = {
 MINUS: Final = "\N{MINUS SIGN}"
 NO_BREAK: Final = "\N{NO-BREAK SPACE}"  #: no line breaks between a number and its unit
 #: the space between a number and its unit in a sentence
-BEFORE_UNIT: Final = re.compile(
-    r"(?<=\d) (?=%|(?:mm|um|nm|rad|mrad|urad|deg|arcsec|min|ppm)\b)"
-)
+BEFORE_UNIT: Final = re.compile(rf"(?<=\d) (?=%|(?:{'|'.join(units.UNITS)})\b)")
 SUPERSCRIPT: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 SYMBOLS: Final = {"um": "µm", "urad": "µrad", "deg": "°", "C": "°C", "1": ""}
 #: control characters that neither HTML nor typst can show

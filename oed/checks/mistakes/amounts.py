@@ -216,7 +216,7 @@ def _moved_setup(data: Suspect, scope: Scope) -> MistakeTrial | None:
             " up again"
         ),
         session=data.session,
-        change=lambda amounts: [_remount(data.session, scope.readings, setup)],
+        change=lambda amounts: [_set_up_again(data.session, scope.readings, setup)],
         family=f"moved {scope.name}",
         columns=np.where(inside[:, None], data.slopes[:, free], 0.0),
     )
@@ -236,7 +236,9 @@ def _is_an_offset(data: Suspect, free: Index, inside: Mask) -> bool:
     return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
 
 
-def _remount(session: SessionReadings, readings: Index, setup: str) -> SessionReadings:
+def _set_up_again(
+    session: SessionReadings, readings: Index, setup: str
+) -> SessionReadings:
     """The session in which some readings have a set-up of their own, with its unknowns."""
     measurement = mounted_again(
         session.measurement, [setup], lambda one: {"station": ""}

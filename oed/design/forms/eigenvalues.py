@@ -216,7 +216,7 @@ def traces_after_exchange(pairs: Pairs, p: int) -> Array:
     to_white = vectors / np.sqrt(eigenvalues)
     chosen, others = pairs.chosen[:, 0] @ to_white, pairs.blocks[:, 0] @ to_white
     relative = eigenvalues[0] / eigenvalues
-    q = _series(chosen, others, relative, p)
+    q = _determinant_series(chosen, others, relative, p)
     regular = q[0] > SINGULAR_FACTOR
     factor = np.where(regular, q[0], 1.0)
     sums: list[Array] = []  # of powers of what det M' adds to tr M^-p
@@ -230,7 +230,9 @@ def traces_after_exchange(pairs: Pairs, p: int) -> Array:
     return np.where(regular & (traces > 0.0), traces, SINGULAR_TRACE)
 
 
-def _series(chosen: Array, others: Array, relative: Array, p: int) -> list[Array]:
+def _determinant_series(
+    chosen: Array, others: Array, relative: Array, p: int
+) -> list[Array]:
     """Coefficients (N, C) of q up to t^p, for t in units of the least eigenvalue.
 
     chosen (N, n) and others (C, n) are rows whitened by M; relative (n,) has the least

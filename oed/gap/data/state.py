@@ -405,7 +405,7 @@ def _geometry(
     p, q = theta[: len(machine.parameters)], series.q
     x = measurement.poses(series, theta)
     rotation, tip, twist = kinematics.frames(x, tool)
-    by_joint = twist @ kinematics.slopes.joint_slopes(x, q, p)
+    by_joint = twist @ kinematics.slopes.pose_by_joint(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
     lever = platform.mean(axis=1) - tip

@@ -118,12 +118,9 @@ def draw_how_many(summary: HowManySummary) -> Figure:
 
 def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
     reached = missing.array(summary.accuracy[name])
-    count = len(sizes)
-    bound = (
-        np.full(count, np.nan)
-        if name not in summary.bound or len(summary.bound[name]) != count
-        else missing.array(summary.bound[name])
-    )
+    bound = np.full(len(sizes), np.nan)
+    if name in summary.bound and len(summary.bound[name]) == len(sizes):
+        bound = missing.array(summary.bound[name])
     wanted = missing.entry(summary.wanted, name)
     values = np.concatenate([reached, bound, [wanted]])
     values = values[np.isfinite(values) & (values > 0.0)]

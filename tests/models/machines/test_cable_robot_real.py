@@ -72,7 +72,7 @@ def test_slopes_are_exact_where_the_lines_disagree(rng):
     """
     x, q, p = poses(rng, 12)
     motor, x = np.rad2deg(q), KINEMATICS.forward(q, p, x)
-    slopes = KINEMATICS.slopes.parameter_slopes(x, q, p)
+    slopes = KINEMATICS.slopes.pose_by_parameter(x, q, p)
     differences = np.empty_like(slopes)
     for k in range(len(p)):
         move = 1e-4 * np.eye(len(p))[k]

@@ -59,7 +59,7 @@ def test_readings_see_what_the_description_lets_them_see(name, rng):
     # half as many readings again as parameters
     count = -(-3 * len(machine.parameters) // (2 * len(machine.command)))
     x, q = kinematics.inverse(commands(machine, rng, count))
-    ours = kinematics.slopes.parameter_slopes(x, q, machine.nominal)
+    ours = kinematics.slopes.pose_by_parameter(x, q, machine.nominal)
     theirs = [
         new_families.slopes(name, joints, pose, stems + turns)
         for pose, joints in zip(x, q, strict=True)

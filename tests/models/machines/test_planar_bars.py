@@ -83,7 +83,7 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(rng):
     assert np.abs(printed - step).max() < 1e-13
     assert (
         np.abs(
-            m.kinematics.slopes.parameter_slopes(x, q, oracle.NOMINAL) - printed
+            m.kinematics.slopes.pose_by_parameter(x, q, oracle.NOMINAL) - printed
         ).max()
         < 1e-13
     )

@@ -80,7 +80,7 @@ def test_slopes_pulled_back_are_those_of_the_sensitivity(index, rng):
     adjoints = PoseAdjoints(A3.slopes, x[None], q[None], NOMINAL[None])
     poses = np.array(index, dtype=np.intp)
     slopes = rng.standard_normal((1, len(poses), 2, x.shape[1]))
-    wanted = slopes[0] @ A3.slopes.parameter_slopes(x, q, NOMINAL)[poses]
+    wanted = slopes[0] @ A3.slopes.pose_by_parameter(x, q, NOMINAL)[poses]
     assert adjoints.pull_back(slopes, poses)[0] == pytest.approx(wanted, abs=1e-12)
 
 

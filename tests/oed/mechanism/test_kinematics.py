@@ -68,14 +68,14 @@ def test_a3_forward_is_the_oracles_for_wrong_machines(rng, tool):
 def test_a3_sensitivity_is_the_papers_linear_model(rng, tool):
     command, offset = a3_commands(rng, 100, tool), np.array([0, 0, tool])
     x, q = A3.inverse(command, tool=offset)
-    twist = A3.frames(x, offset)[2] @ A3.slopes.parameter_slopes(
+    twist = A3.frames(x, offset)[2] @ A3.slopes.pose_by_parameter(
         x, q, A3.machine.nominal
     )
     model = a3.linear_model(*command.T, tool)
     assert np.abs(twist - model).max() < 1e-12 * np.abs(model).max()
     by_joint, by_parameter = (
         f(x, q, A3.machine.nominal)
-        for f in (A3.slopes.joint_slopes, A3.slopes.parameter_slopes)
+        for f in (A3.slopes.pose_by_joint, A3.slopes.pose_by_parameter)
     )
     assert (
         np.abs(by_joint - by_parameter[..., :3]).max() < 1e-13
@@ -93,7 +93,7 @@ def test_a3_sensitivity_of_a_wrong_machine_is_the_oracles_complex_step(rng):
         [moved.tip.imag / 1e-30, spin[..., [2, 0, 1], [1, 2, 0]]], axis=-1
     ).swapaxes(1, 2)
     assert (
-        np.abs(twist @ A3.slopes.parameter_slopes(x, q, p) - exact).max()
+        np.abs(twist @ A3.slopes.pose_by_parameter(x, q, p) - exact).max()
         < 1e-11 * np.abs(exact).max()
     )
 
@@ -121,7 +121,7 @@ def test_a3_is_upright_without_trouble():
     command = np.array([[1.1, psi, 0.0] for psi in (-1.0, 0.0, 2.0)])
     x, q = A3.inverse(command)
     assert np.ptp(q) < 1e-15
-    twist = A3.frames(x, np.zeros(3))[2] @ A3.slopes.parameter_slopes(
+    twist = A3.frames(x, np.zeros(3))[2] @ A3.slopes.pose_by_parameter(
         x, q, A3.machine.nominal
     )
     assert np.abs(twist - a3.linear_model(*command[1])).max() < 1e-13
@@ -262,7 +262,7 @@ def test_a_redundant_machine_settles_where_its_legs_miss_least(rng):
         < 1e-8
     )
     assert np.abs(found - x).max() > 1e-4
-    slope = kinematics.slopes.parameter_slopes(x, kinematics.inverse(point, p)[1], p)
+    slope = kinematics.slopes.pose_by_parameter(x, kinematics.inverse(point, p)[1], p)
     h = 1e-4
     agreed = kinematics.inverse(point, p)[1]
     for k in range(10):
