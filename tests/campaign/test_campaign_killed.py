@@ -33,7 +33,7 @@ seeds = {SEEDS}
 law = ["white", "student"]
 size = [10, 1000]
 """
-COMMAND = "import sys; from pkm_studies import cli; sys.exit(cli.main(sys.argv[1:]))"
+COMMAND = "import sys; from pkm_studies.commands import cli; sys.exit(cli.main())"
 
 
 @pytest.fixture
