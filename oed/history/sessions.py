@@ -24,8 +24,10 @@ knocked does not drift.
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 from scipy import optimize, special
@@ -142,98 +144,11 @@ def _explanations(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class SessionChange:
-    """The change between two sessions; in the units of the parameters."""
-
-    #: test of no change at all
-    chi2: float
-    dof: int
-    p_value: float
-    #: that both sessions determine, the most changed first
-    combinations: tuple[CombinationChange, ...]
-    causes: tuple[Cause, ...]  #: one parameter or two, the best explanation first
-    undetermined: int  #: number of directions that one session or both leave open
-
-    def sentences(self, units: Mapping[str, str]) -> Iterator[str]:
-        """The test, parameters that explain the change, and the combinations."""
-        if not self.dof:
-            yield "The two sessions determine no common combination of parameters."
-            return
-        verdict = "No change" if self.p_value >= FALSE_ALARM else "The machine changed"
-        yield (
-            f"{verdict}: chi2 {self.chi2:.4g} for {self.dof} combinations that both"
-            f" sessions determine, p {format_p_value(self.p_value)}."
-        )
-        if self.undetermined:
-            verb = "is" if self.undetermined == 1 else "are"
-            yield (
-                f"{self.undetermined} of {len(units)} directions {verb} not determined by"
-                " both sessions: a change there stays unseen."
-            )
-        if self.p_value < FALSE_ALARM:
-            yield from _explanations(self.causes, units)
-        # Sidak: the smallest of dof p-values, each uniform where nothing changed
-        threshold = 1.0 - (1.0 - FALSE_ALARM) ** (1.0 / self.dof)
-        yield f"Changes (* beyond chance among {self.dof}, at {FALSE_ALARM:g}):"
-        for combination in self.combinations[:MAX_COMBINATIONS]:
-            mark = "*" if combination.p_value < threshold else " "
-            yield f"  {mark} {combination.sentence(units)}"
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
 class Session:
     """Posterior of one session: mean (n,) and covariance (n, n) of the parameters."""
 
     mean: Array
     covariance: Array
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ChangeEstimate:
-    """A change over sessions, in tolerances, in its determined directions."""
-
-    root: Array  #: (r, n) of its information
-    white: Array  #: (r,) estimates, standard normal where the truth is 0
-    #: chi2 of what the change leaves, and its degrees of freedom
-    rest: float
-    rest_dof: int
-
-    @property
-    def chi2(self) -> float:
-        """Of the test of no change."""
-        return float(self.white @ self.white)
-
-    @property
-    def dof(self) -> int:
-        """Number of determined directions."""
-        return len(self.white)
-
-
-def estimate_change(
-    sessions: Sequence[Session], nominal: Array, tolerance: Array, elapsed: Array
-) -> ChangeEstimate:
-    """The change over sessions at times `elapsed` (k,), per unit of time."""
-    parts = [likelihood(s, nominal, tolerance) for s in sessions]
-    span = _determined_span([root for root, _ in parts])
-    rows = [_reduced(root, t, span) for root, t in parts]
-    level = np.vstack([root for root, _ in rows])
-    slope = np.vstack([s * root for s, (root, _) in zip(elapsed, rows, strict=True)])
-    estimates = np.concatenate([t for _, t in rows])
-    basis = np.linalg.qr(level)[0] if level.size else level
-    slope, estimates = (
-        _projected_out(basis, _projected_out(basis, v)) for v in (slope, estimates)
-    )
-    vectors, singular, right = np.linalg.svd(slope, full_matrices=False)
-    determined = singular**2 > MIN_INFORMATION
-    white = vectors[:, determined].T @ estimates
-    rest = float(estimates @ estimates - white @ white)
-    freedom = len(estimates) - level.shape[1] - len(white)
-    return ChangeEstimate(
-        root=singular[determined, None] * right[determined] @ span.T,
-        white=white,
-        rest=max(rest, 0.0),
-        rest_dof=max(freedom, 0),
-    )
 
 
 def likelihood(
@@ -268,83 +183,172 @@ def _projected_out(basis: Array, values: Array) -> Array:
     return values - basis @ (basis.T @ values)
 
 
-def combinations(
-    names: Sequence[str], tolerance: Array, root: Array, white: Array
-) -> tuple[CombinationChange, ...]:
-    """Changes of the combinations that the rows of `root` (r, n) determine."""
-    if not len(root):
-        return ()
-    # one unit for all columns: the tolerance
-    verdict = analyse(root, names, np.ones(len(names)))
-    scaled = verdict.combinations
-    inverse = np.linalg.pinv(root)
-    estimates = scaled @ inverse @ white
-    deviations = np.linalg.norm(scaled @ inverse, axis=1)
-    changes = []
-    for row, estimate, sd in zip(scaled, estimates, deviations, strict=True):
-        pivot = int(np.argmax(np.isclose(row, 1.0)))
-        unit = tolerance[pivot]
-        share = np.abs(row) * np.linalg.norm(inverse, axis=1) / sd
-        ranked = np.argsort(-share, kind="stable")
-        others = [k for k in ranked if share[k] >= MIN_SHARE and k != pivot]
-        coefficients = {names[pivot]: 1.0}
-        for k in others:
-            coefficients[names[k]] = float(row[k] * unit / tolerance[k])
-        p_value = 2.0 * special.ndtr(-abs(estimate / sd))
-        changes.append(
-            CombinationChange(
-                coefficients, float(estimate * unit), float(sd * unit), float(p_value)
-            )
+@dataclasses.dataclass(frozen=True)
+class ParameterChange:
+    """A change over sessions, per unit of time, in its determined directions."""
+
+    names: Sequence[str]  #: (n,) of the parameters
+    unit: Array  #: (n,) of the change: the tolerances, over the span of all sessions
+    root: Array  #: (r, n) of its information, in these units
+    white: Array  #: (r,) estimates, standard normal where the truth is 0
+    #: chi2 of what the change leaves, and its degrees of freedom
+    rest: float
+    rest_dof: int
+
+    @classmethod
+    def of(cls, sessions: "MachineSessions", times: Array) -> Self:
+        """The change over sessions at times (k,). Raises ValueError for one time alone."""
+        span_of_time = float(np.ptp(times))
+        if span_of_time <= 0.0:
+            raise ValueError("a drift needs sessions at two different times")
+        elapsed = (times - np.max(times)) / span_of_time
+        nominal, tolerance = sessions.nominal, sessions.tolerance
+        parts = [likelihood(s, nominal, tolerance) for s in sessions.posteriors]
+        span = _determined_span([root for root, _ in parts])
+        rows = [_reduced(root, t, span) for root, t in parts]
+        level = np.vstack([root for root, _ in rows])
+        slopes = [s * root for s, (root, _) in zip(elapsed, rows, strict=True)]
+        estimates = np.concatenate([t for _, t in rows])
+        basis = np.linalg.qr(level)[0] if level.size else level
+        slope, estimates = (
+            _projected_out(basis, _projected_out(basis, v))
+            for v in (np.vstack(slopes), estimates)
         )
-    return tuple(sorted(changes, key=lambda c: -abs(c.change / c.sd)))
+        vectors, singular, right = np.linalg.svd(slope, full_matrices=False)
+        determined = singular**2 > MIN_INFORMATION
+        white = vectors[:, determined].T @ estimates
+        freedom = len(estimates) - level.shape[1] - len(white)
+        return cls(
+            names=sessions.names,
+            unit=tolerance / span_of_time,
+            root=singular[determined, None] * right[determined] @ span.T,
+            white=white,
+            rest=max(float(estimates @ estimates - white @ white), 0.0),
+            rest_dof=max(freedom, 0),
+        )
+
+    @property
+    def widening(self) -> float:
+        """Factor on all standard deviations."""
+        return 1.0
+
+    @property
+    def chi2(self) -> float:
+        """Of the test of no change."""
+        return float(self.white @ self.white)
+
+    @property
+    def dof(self) -> int:
+        """Number of determined directions."""
+        return len(self.white)
+
+    @property
+    def p_value(self) -> float:
+        """Of the test of no change; 1 where no direction is determined."""
+        chi2 = self.chi2 / self.widening**2
+        return float(special.chdtrc(self.dof, chi2)) if self.dof else 1.0
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether no change is less likely than the probability of a false alarm."""
+        return self.p_value < FALSE_ALARM
+
+    @property
+    def undetermined(self) -> int:
+        """Number of directions in which a change stays unseen."""
+        return len(self.unit) - self.dof
+
+    @functools.cached_property
+    def combinations(self) -> tuple[CombinationChange, ...]:
+        """Changes of the combinations that are determined, the surest first."""
+        if not self.dof:
+            return ()
+        # one unit for all columns: the tolerance
+        scaled = analyse(self.root, self.names, np.ones(len(self.names))).combinations
+        inverse = np.linalg.pinv(self.root)
+        estimates = scaled @ inverse @ self.white
+        deviations = np.linalg.norm(scaled @ inverse, axis=1)
+        changes = []
+        for row, estimate, sd in zip(scaled, estimates, deviations, strict=True):
+            pivot = int(np.argmax(np.isclose(row, 1.0)))
+            unit = self.unit[pivot]
+            share = np.abs(row) * np.linalg.norm(inverse, axis=1) / sd
+            ranked = np.argsort(-share, kind="stable")
+            coefficients = {self.names[pivot]: 1.0}
+            for k in ranked:
+                if share[k] >= MIN_SHARE and k != pivot:
+                    coefficients[self.names[k]] = float(row[k] * unit / self.unit[k])
+            z = estimate / (self.widening * sd)
+            changes.append(
+                CombinationChange(
+                    coefficients=coefficients,
+                    change=float(estimate * unit),
+                    sd=float(self.widening * sd * unit),
+                    p_value=float(2.0 * special.ndtr(-abs(z))),
+                )
+            )
+        return tuple(sorted(changes, key=lambda c: -abs(c.change / c.sd)))
+
+    @functools.cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Parameters, or pairs where none does, as all that changed, the best first."""
+        information = (self.root**2).sum(axis=0)
+        determined = np.flatnonzero(information > MIN_INFORMATION)
+        for size in (1, 2):
+            tried = map(self._cause, itertools.combinations(determined, size))
+            causes = sorted(filter(None, tried), key=lambda cause: cause.chi2)
+            if not causes or causes[0].explains_all:
+                break
+        return tuple(causes)
+
+    def _cause(self, members: Sequence[int]) -> Cause | None:
+        """These parameters as all that changed; None where they are not told apart."""
+        columns = self.root[:, list(members)]
+        gram = columns.T @ columns
+        if np.linalg.eigvalsh(gram)[0] <= MIN_INFORMATION:
+            return None
+        estimates = np.linalg.solve(gram, columns.T @ self.white)
+        rest = max(self.chi2 - float(estimates @ gram @ estimates), 0.0)
+        rest /= self.widening**2
+        freedom = self.dof - len(members)
+        units = self.unit[list(members)]
+        sds = self.widening * units * np.sqrt(np.diag(np.linalg.inv(gram)))
+        of = [self.names[k] for k in members]
+        return Cause(
+            changes=dict(zip(of, (estimates * units).tolist(), strict=True)),
+            sds=dict(zip(of, sds.tolist(), strict=True)),
+            chi2=rest,
+            p_value=float(special.chdtrc(freedom, rest)) if freedom > 0 else 1.0,
+        )
 
 
-def _causes(
-    names: Sequence[str],
-    tolerance: Array,
-    root: Array,
-    white: Array,
-    widening: float = 1.0,
-) -> tuple[Cause, ...]:
-    """Parameters, or pairs where none does, as all that changed, the best first."""
-    determined = [
-        k for k, column in enumerate(root.T) if column @ column > MIN_INFORMATION
-    ]
-    for size in (1, 2):
-        sets = itertools.combinations(determined, size)
-        tried = [_cause(names, tolerance, root, white, ks, widening) for ks in sets]
-        causes = sorted((c for c in tried if c is not None), key=lambda c: c.chi2)
-        if not causes or causes[0].explains_all:
-            break
-    return tuple(causes)
+class SessionChange(ParameterChange):
+    """The change between two sessions; in the units of the parameters."""
 
-
-def _cause(
-    names: Sequence[str],
-    tolerance: Array,
-    root: Array,
-    white: Array,
-    members: Sequence[int],
-    widening: float,
-) -> Cause | None:
-    """These parameters as all that changed; None where they are not told apart."""
-    columns = root[:, list(members)]
-    gram = columns.T @ columns
-    if np.linalg.eigvalsh(gram)[0] <= MIN_INFORMATION:
-        return None
-    estimates = np.linalg.solve(gram, columns.T @ white)
-    rest = max(float(white @ white - estimates @ gram @ estimates), 0.0)
-    rest /= widening**2
-    freedom = len(white) - len(members)
-    units = tolerance[list(members)]
-    sds = widening * units * np.sqrt(np.diag(np.linalg.inv(gram)))
-    of = [names[k] for k in members]
-    return Cause(
-        changes=dict(zip(of, (estimates * units).tolist(), strict=True)),
-        sds=dict(zip(of, sds.tolist(), strict=True)),
-        chi2=rest,
-        p_value=float(special.chdtrc(freedom, rest)) if freedom > 0 else 1.0,
-    )
+    def sentences(self, units: Mapping[str, str]) -> Iterator[str]:
+        """The test, parameters that explain the change, and the combinations."""
+        if not self.dof:
+            yield "The two sessions determine no common combination of parameters."
+            return
+        verdict = "The machine changed" if self.is_proven else "No change"
+        yield (
+            f"{verdict}: chi2 {self.chi2:.4g} for {self.dof} combinations that both"
+            f" sessions determine, p {format_p_value(self.p_value)}."
+        )
+        if self.undetermined:
+            verb = "is" if self.undetermined == 1 else "are"
+            yield (
+                f"{self.undetermined} of {len(units)} directions {verb} not determined by"
+                " both sessions: a change there stays unseen."
+            )
+        if self.is_proven:
+            yield from _explanations(self.causes, units)
+        # Sidak: the smallest of dof p-values, each uniform where nothing changed
+        threshold = 1.0 - (1.0 - FALSE_ALARM) ** (1.0 / self.dof)
+        yield f"Changes (* beyond chance among {self.dof}, at {FALSE_ALARM:g}):"
+        for combination in self.combinations[:MAX_COMBINATIONS]:
+            mark = "*" if combination.p_value < threshold else " "
+            yield f"  {mark} {combination.sentence(units)}"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -358,30 +362,29 @@ class NextCalibration:
     high: float
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class SessionDrift:
+class SessionDrift(ParameterChange):
     """Drift over the sessions, per unit of time, in the units of the parameters."""
 
-    #: test of no drift at all
-    chi2: float
-    dof: int
-    p_value: float
-    #: chi2 of what a line leaves, and its degrees of freedom
-    rest: float
-    rest_dof: int
-    widening: float  #: factor on all standard deviations where a line does not suit
-    #: that the sessions determine, the surest drift first
-    combinations: tuple[CombinationChange, ...]
-    #: one parameter or two as all that drifts, the best first
-    causes: tuple[Cause, ...]
-    rate: Array  #: (n,) drift of each parameter; 0 along undetermined directions
-    covariance: Array  #: (n, n) of `rate`, widened
-    undetermined: int  #: number of directions whose drift stays unseen
+    @property
+    def widening(self) -> float:
+        """Factor on all standard deviations where a line does not suit."""
+        p_even = special.chdtrc(self.rest_dof, self.rest) if self.rest_dof else 1.0
+        return float(np.sqrt(self.rest / self.rest_dof)) if p_even < P_UNEVEN else 1.0
+
+    @functools.cached_property
+    def _inverse(self) -> Array:
+        """(n, r) with which white estimates become changes; 0 along what is unseen."""
+        return self.unit[:, None] * np.linalg.pinv(self.root)
 
     @property
-    def is_proven(self) -> bool:
-        """Whether no drift is less likely than the probability of a false alarm."""
-        return self.p_value < FALSE_ALARM
+    def rate(self) -> Array:
+        """Drift (n,) of each parameter; 0 along undetermined directions."""
+        return np.asarray(self._inverse @ self.white)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (n, n) of `rate`, widened."""
+        return np.asarray(self.widening**2 * self._inverse @ self._inverse.T)
 
     def sentences(self, units: Mapping[str, str], unit: str) -> Iterator[str]:
         """Whether the machine drifts, and whether evenly; causes; combinations.
@@ -438,18 +441,6 @@ class SessionDrift:
         return NextCalibration(float(median), float(low), float(high))
 
 
-def _p_value(chi2: float, dof: int, widening: float) -> float:
-    return float(special.chdtrc(dof, chi2 / widening**2)) if dof else 1.0
-
-
-def _rate(change: CombinationChange, span: float, widening: float) -> CombinationChange:
-    """A change over the whole span as a rate."""
-    rate, sd = change.change / span, widening * change.sd / span
-    return CombinationChange(
-        change.coefficients, rate, sd, float(2.0 * special.ndtr(-abs(rate / sd)))
-    )
-
-
 @dataclasses.dataclass(frozen=True)
 class MachineSessions:
     """Sessions of one machine under the prior N(nominal (n,), diag(tolerance (n,))^2)."""
@@ -473,55 +464,11 @@ class MachineSessions:
 
     def change(self) -> SessionChange:
         """Compare two sessions. Raises ValueError unless there are two."""
-        first, second = self.posteriors
-        names, tolerance = self.names, self.tolerance
-        change = estimate_change(
-            [first, second], self.nominal, tolerance, np.array([0.0, 1.0])
-        )
-        root, white = change.root, change.white
-        return SessionChange(
-            chi2=change.chi2,
-            dof=change.dof,
-            p_value=float(special.chdtrc(change.dof, change.chi2))
-            if change.dof
-            else 1.0,
-            combinations=combinations(names, tolerance, root, white),
-            causes=_causes(names, tolerance, root, white),
-            undetermined=len(names) - change.dof,
-        )
+        return SessionChange.of(self, np.array([0.0, 1.0]))
 
     def drift(self, times: Array) -> SessionDrift:
         """Drift of the parameters (n,) over times (k,). Raises ValueError."""
-        names, tolerance = self.names, self.tolerance
-        since = np.asarray(times, dtype=float) - np.max(times)
-        span = float(np.ptp(since))
-        if span <= 0.0:
-            raise ValueError("a drift needs sessions at two different times")
-        change = estimate_change(self.posteriors, self.nominal, tolerance, since / span)
-        root, white, dof = change.root, change.white, change.dof
-        rest, rest_dof = change.rest, change.rest_dof
-        uneven = rest_dof > 0 and special.chdtrc(rest_dof, rest) < P_UNEVEN
-        widening = float(np.sqrt(rest / rest_dof)) if uneven else 1.0
-        scale = tolerance / span
-        back = np.linalg.pinv(root) if dof else np.zeros((len(tolerance), 0))
-        covariance = widening**2 * back @ back.T * np.outer(scale, scale)
-        rates = [
-            _rate(c, span, widening)
-            for c in combinations(names, tolerance, root, white)
-        ]
-        return SessionDrift(
-            chi2=change.chi2,
-            dof=dof,
-            p_value=_p_value(change.chi2, dof, widening),
-            rest=rest,
-            rest_dof=rest_dof,
-            widening=widening,
-            combinations=tuple(rates),
-            causes=_causes(names, scale, root, white, widening),
-            rate=(back @ white) * scale,
-            covariance=covariance,
-            undetermined=len(tolerance) - dof,
-        )
+        return SessionDrift.of(self, np.asarray(times, dtype=float))
 
     def provable_growth(
         self,
