@@ -29,7 +29,7 @@ from oed.accuracy import (
 from oed.base import Array, Index, Mask
 from oed.corrected.forms import ChosenForm, FormEvidence, form_evidence
 from oed.effect_model import State
-from oed.effects import ActingForm, ExpectedColumns, SessionStates
+from oed.effects import ExpectedColumns, SessionStates
 from oed.estimation import Discrepancy, Estimate
 from oed.gap import GapProblem
 from oed.measurement import Series
@@ -77,10 +77,6 @@ class CorrectedEstimate:
     @property
     def columns(self) -> ExpectedColumns:
         """Effects in the forms of the fit, one column a coefficient."""
-        acting = tuple(
-            ActingForm(form.effect, form.constants, form.signature.names)
-            for form in self.forms
-        )
         count = len(self.scales)
         discrepancy = Discrepancy(
             columns=np.hstack([form.signature.columns for form in self.forms]),
@@ -88,7 +84,7 @@ class CorrectedEstimate:
             names=self.coefficient_names,
             unknown=np.zeros(count, dtype=bool),
         )
-        return ExpectedColumns(discrepancy, acting, np.eye(count))
+        return ExpectedColumns(discrepancy, self.forms, np.eye(count))
 
     def moves_machine(self, form: ChosenForm) -> bool:
         """Whether an effect changes joints or parameters of the machine."""
@@ -117,15 +113,129 @@ class CorrectedEstimate:
         draws  (m, n_all) of theta; the normal approximation by default, `worth` as many
         plain  (np,) other parameters to compare with, as those of a fit without effects
         """
-        return _predict(self, command, reference, rng, draws, worth, plain)
+        kinematics = self.readings.measurement.kinematics
+        count = len(kinematics.machine.parameters)
+        setups = self.parameters
+        maps = ErrorMaps.of(kinematics, command, reference)
+        theta = self.estimate.theta
+        of_effects = self.columns.workspace_maps(
+            self.session, theta[:setups], command, reference, rng
+        )
+        both = ErrorMaps(
+            command=command,
+            names=maps.names,
+            raw=np.concatenate([maps.raw, of_effects.raw], axis=2),
+            remaining=np.concatenate([maps.remaining, of_effects.remaining], axis=2),
+        )
+        used = np.r_[0:count, setups : len(theta)]
+        nominal = self.measurement.drawn
+        mean, covariance = (theta - nominal)[used], self.estimate.covariance
+        covariance = covariance[np.ix_(used, used)]
+        changes = None
+        if draws is not None:
+            changes = (draws - theta)[:, used]
+            covariance = changes.T @ changes / len(changes)
+        prior = self.measurement.prior_covariance[np.ix_(used, used)]
+        by_effects = of_effects.raw @ mean[count:]
+        before = None
+        if kinematics.controller is not None:
+            before = driven_errors(kinematics, command, theta[:count], reference)
+            before = before + by_effects
+        compensated = predict(
+            both,
+            prior,
+            covariance,
+            rng,
+            mean=mean,
+            before=before,
+            draws=changes,
+            worth=worth,
+            reference=reference,
+        )
+        known_errors = maps.remaining @ mean[:count] + by_effects
+        spreads = functools.partial(
+            spread_after, both, covariance, rng, draws=changes, worth=worth
+        )
+        parameters_only = spreads(known_errors)
+        of_plain = {}
+        if plain is not None:
+            change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
+            of_plain = spreads(known_errors + change)
+        budget = self._budget(both, compensated, used)
+        return CorrectedAccuracy(compensated, parameters_only, of_plain, budget)
+
+    def _budget(self, maps: ErrorMaps, predicted: Prediction, used: Index) -> Budget:
+        """Sources of what remains, over the `used` entries of theta."""
+        estimate = self.estimate
+        noise = estimate.noise
+        model = BudgetModel.of(
+            self.measurement,
+            self.series,
+            estimate.theta,
+            laws=noise.law if isinstance(noise, LawNoise) else None,
+            coefficients=len(self.scales),
+        )
+        spreads = predicted.fully_corrected
+        return model.budget(
+            maps,
+            estimated=estimate.covariance[np.ix_(used, used)],
+            predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),
+        )
 
     def tables(self, command: Array) -> TabledEffects:
         """Tables of all effects at commands (n, n_dof), SI. Raises AssemblyError."""
-        return _tabled_effects(self, command)
+        neutral = _neutral_state(self, command)
+        model = ErrorModel.of(self.readings.measurement.kinematics, command)
+        tables: list[StateTable] = []
+        missing: dict[str, str] = {}
+        for form in self.forms:
+            name = form.effect.name
+            rest = _correction(self, form, neutral, model)
+            late = _correction(self, form, _late(neutral), model)
+            of_effect = list(_tables_of(self, form, neutral, rest, model))
+            every = [rest, late, *(table.joints for table in of_effect)]
+            if not all(np.isfinite(joints).all() for joints in every):
+                missing[name] = "it moves no joint of the machine in a known state"
+                continue
+            if np.abs(late - rest).max() > MIN_CORRECTION:
+                missing[name] = "it follows the time of that session, not a state"
+                continue
+            if np.abs(rest).max() > MIN_CORRECTION:
+                of_effect.append(StateTable(name, POSE, False, np.zeros(1), rest[None]))
+            tables += of_effect
+            if not of_effect:
+                missing[name] = (
+                    "it moves no joint of the machine, or follows the feed or tensions"
+                )
+        return TabledEffects(tuple(tables), missing)
 
     def turned_runs(self) -> TurnedRuns | None:
         """Runs that fit clearly better driven the other way; None: there are none."""
-        return _find_turned_runs(self)
+        as_stated = self.readings.problem(self.estimate.theta[: self.parameters])
+        search = _Search(
+            form_evidence(as_stated),
+            as_stated.residual,
+            _columns(as_stated, self),
+            _columns(as_stated.with_reversed_runs(), self),
+        )
+        felt = [rows for rows in as_stated.members if search.is_felt(rows)]
+        if len(felt) < MIN_RUNS:
+            return None
+        turned = search.best(felt)
+        if turned.sum() > len(felt) / 2:
+            turned = ~turned
+        none = np.zeros(len(felt), dtype=bool)
+        gain = search.value(felt, turned) - search.value(felt, none)
+        if not turned.any() or gain < MIN_GAIN:
+            return None
+        firsts = [rows[0] for rows, is_one in zip(felt, turned, strict=True) if is_one]
+        names = as_stated.rows.iloc[firsts]
+        return TurnedRuns(
+            runs=tuple(zip(names["setup"], names["run"], strict=True)),
+            before=search.ratio(felt, none),
+            after=search.ratio(felt, turned),
+            gain=gain,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,89 +249,6 @@ class CorrectedAccuracy:
     #: where none are given
     plain: Mapping[str, Spread]
     budget: Budget  #: sources of the errors that remain
-
-
-def _predict(
-    corrected: CorrectedEstimate,
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
-    draws: Array | None,
-    worth: float | None,
-    plain: Array | None,
-) -> CorrectedAccuracy:
-    kinematics = corrected.readings.measurement.kinematics
-    count = len(kinematics.machine.parameters)
-    setups = corrected.parameters
-    maps = ErrorMaps.of(kinematics, command, reference)
-    theta = corrected.estimate.theta
-    of_effects = corrected.columns.workspace_maps(
-        corrected.session, theta[:setups], command, reference, rng
-    )
-    both = ErrorMaps(
-        command=command,
-        names=maps.names,
-        raw=np.concatenate([maps.raw, of_effects.raw], axis=2),
-        remaining=np.concatenate([maps.remaining, of_effects.remaining], axis=2),
-    )
-    used = np.r_[0:count, setups : len(theta)]
-    nominal = corrected.measurement.drawn
-    mean, covariance = (theta - nominal)[used], corrected.estimate.covariance
-    covariance = covariance[np.ix_(used, used)]
-    changes = None
-    if draws is not None:
-        changes = (draws - theta)[:, used]
-        covariance = changes.T @ changes / len(changes)
-    prior = corrected.measurement.prior_covariance[np.ix_(used, used)]
-    before = None
-    if kinematics.controller is not None:
-        before = driven_errors(kinematics, command, theta[:count], reference)
-        before = before + of_effects.raw @ mean[count:]
-
-    compensated = predict(
-        both,
-        prior,
-        covariance,
-        rng,
-        mean=mean,
-        before=before,
-        draws=changes,
-        worth=worth,
-        reference=reference,
-    )
-    by_effects = of_effects.raw @ mean[count:]
-    known_errors = maps.remaining @ mean[:count] + by_effects
-    spreads = functools.partial(
-        spread_after, both, covariance, rng, draws=changes, worth=worth
-    )
-    parameters_only = spreads(known_errors)
-    of_plain = {}
-    if plain is not None:
-        change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
-        of_plain = spreads(known_errors + change)
-    budget = _budget(corrected, both, compensated, used)
-    return CorrectedAccuracy(compensated, parameters_only, of_plain, budget)
-
-
-def _budget(
-    corrected: CorrectedEstimate, maps: ErrorMaps, predicted: Prediction, used: Index
-) -> Budget:
-    """Sources of what remains, over the `used` entries of theta."""
-    estimate = corrected.estimate
-    noise = estimate.noise
-    model = BudgetModel.of(
-        corrected.measurement,
-        corrected.series,
-        estimate.theta,
-        laws=noise.law if isinstance(noise, LawNoise) else None,
-        coefficients=len(corrected.scales),
-    )
-    spreads = predicted.fully_corrected
-    return model.budget(
-        maps,
-        estimated=estimate.covariance[np.ix_(used, used)],
-        predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),
-    )
 
 
 # Tables of joint corrections by state, with which a controller corrects effects.
@@ -281,33 +308,6 @@ class TabledEffects:
         return [part.max(axis=0) for part in np.split(errors, ends[:-1])]
 
 
-def _tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffects:
-    neutral = _neutral_state(corrected, command)
-    kinematics = corrected.readings.measurement.kinematics
-    model = ErrorModel.of(kinematics, command)
-    tables: list[StateTable] = []
-    missing: dict[str, str] = {}
-    for form in corrected.forms:
-        name = form.effect.name
-        rest = _correction(corrected, form, neutral, model)
-        late = _correction(corrected, form, _late(neutral), model)
-        of_effect = list(_tables_of(corrected, form, neutral, model))
-        if rest is None or late is None or any(t is None for t in of_effect):
-            missing[name] = "it moves no joint of the machine in a known state"
-            continue
-        if np.abs(late - rest).max() > MIN_CORRECTION:
-            missing[name] = "it follows the time of that session, not a state"
-            continue
-        tables += [t for t in of_effect if t is not None]
-        if np.abs(rest).max() > MIN_CORRECTION:
-            tables.append(StateTable(name, POSE, False, np.zeros(1), rest[None]))
-        if not any(t.effect == name for t in tables):
-            missing[name] = (
-                "it moves no joint of the machine, or follows the feed or tensions"
-            )
-    return TabledEffects(tuple(tables), missing)
-
-
 def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
     """The machine at commands, at rest, without payload or tension, as warm as at first."""
     session = corrected.session
@@ -344,23 +344,21 @@ def _late(state: State) -> State:
 
 
 def _tables_of(
-    corrected: CorrectedEstimate, form: ChosenForm, neutral: State, model: ErrorModel
-) -> Iterator[StateTable | None]:
-    """The tables of one effect over each state that it depends on."""
-    rest = _correction(corrected, form, neutral, model)
+    corrected: CorrectedEstimate,
+    form: ChosenForm,
+    neutral: State,
+    rest: Array,
+    model: ErrorModel,
+) -> Iterator[StateTable]:
+    """The tables of one effect over each state that it depends on, or that is unknown."""
     for axis, values in _axes(corrected, neutral):
-        joints = []
-        for value in values:
-            state = _with_state(neutral, axis, float(value))
-            change = _correction(corrected, form, state, model)
-            if change is None or rest is None:
-                yield None
-                return
-            joints.append(change - rest)
-        if np.abs(joints).max() > MIN_CORRECTION:
-            wise = axis == DIRECTION
+        states = [_with_state(neutral, axis, float(value)) for value in values]
+        changes = [_correction(corrected, form, state, model) for state in states]
+        joints = np.array(changes) - rest
+        is_nothing = np.abs(joints).max() <= MIN_CORRECTION  # nor where it is NaN
+        if not is_nothing:
             name = form.effect.name
-            yield StateTable(name, axis, wise, values, np.array(joints))
+            yield StateTable(name, axis, axis == DIRECTION, values, joints)
 
 
 def _axes(corrected: CorrectedEstimate, state: State) -> Iterator[tuple[str, Array]]:
@@ -397,8 +395,8 @@ def _with_state(state: State, axis: str, value: float) -> State:
 
 def _correction(
     corrected: CorrectedEstimate, form: ChosenForm, state: State, model: ErrorModel
-) -> Array | None:
-    """Joint corrections (n, nq) of one effect in a state; None where it is unknown."""
+) -> Array:
+    """Joint corrections (n, nq) of one effect in a state; not finite where it is unknown."""
     values = corrected.estimate.theta[corrected.parameters :] * corrected.scales
     amounts = dict(zip(corrected.coefficient_names, values, strict=True))
     machine = corrected.readings.measurement.machine
@@ -413,7 +411,7 @@ def _correction(
             if parameter in indices:
                 gradient = model.joints[:, :, indices[parameter]]
                 total += amount * gradient * change[:-1, None]
-    return total if np.isfinite(total).all() else None
+    return total
 
 
 # Runs that were driven the other way than their rows say, as far as readings can tell.
@@ -440,39 +438,6 @@ class TurnedRuns:
     before: float
     after: float  #: the same with these runs turned
     gain: float  #: of the log evidence
-
-
-def _find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
-    readings, theta = corrected.readings, corrected.estimate.theta
-    theta = theta[: corrected.parameters]
-    as_stated = readings.problem(theta)
-    other_way = as_stated.with_reversed_runs()
-    search = _Search(
-        form_evidence(as_stated),
-        as_stated.residual,
-        _columns(as_stated, corrected),
-        _columns(other_way, corrected),
-    )
-    felt = [rows for rows in as_stated.members if search.is_felt(rows)]
-    if len(felt) < MIN_RUNS:
-        return None
-    turned = search.best(felt)
-    if turned.sum() > len(felt) / 2:
-        turned = ~turned
-    none = np.zeros(len(felt), dtype=bool)
-    gain = search.value(felt, turned) - search.value(felt, none)
-    if not turned.any() or gain < MIN_GAIN:
-        return None
-    names = [(as_stated.rows["setup"], as_stated.rows["run"], rows[0]) for rows in felt]
-    labels = [(str(s.iloc[k]), str(r.iloc[k])) for s, r, k in names]
-    return TurnedRuns(
-        runs=tuple(
-            label for label, is_one in zip(labels, turned, strict=True) if is_one
-        ),
-        before=search.ratio(felt, none),
-        after=search.ratio(felt, turned),
-        gain=gain,
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -544,7 +509,7 @@ def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
     parts = []
     for form in corrected.forms:
         signature = problem.signature(form.effect, form.constants)
-        columns = signature.columns_of(form.signature.names)
+        columns = signature.columns_of(form.names)
         parts.append(problem.noise_units(columns))
     sizes = corrected.measurement.tolerance[corrected.parameters :]
     return np.hstack(parts) * sizes

@@ -19,7 +19,7 @@ from oed.corrected.forms import (
 )
 from oed.effect_model import Effect
 from oed.estimation import Estimate, identify
-from oed.gap import DOWN, ActingEffectForm, GapProblem, assemble, exact_readings, settle
+from oed.gap import DOWN, GapProblem, assemble, exact_readings, settle
 from oed.instrument import TakenReadings
 from oed.measurement import Measurement, Series
 from oed.model import Parameter
@@ -190,12 +190,8 @@ class _JointFit:
         if not forms:
             return _Start((), theta, np.zeros(0), False)
         for _ in range(MAX_PASSES):
-            acting = [
-                ActingEffectForm(f.effect, f.constants, f.signature.names, f.size)
-                for f in forms
-            ]
             law = problem.stated_law
-            settled = settle(problem, acting, law, np.zeros(len(problem)))
+            settled = settle(problem, forms, law, np.zeros(len(problem)))
             if not MAX_DEPARTURE < settled.departure < np.inf:
                 return _Start(forms, theta, np.zeros_like(settled.coefficients), False)
             before, forms = forms, choose_forms(settled.problem, effects)
@@ -209,7 +205,7 @@ class _JointFit:
         """Estimate, linearise and find the sizes of the effects in turn."""
         forms, theta, beta = start.forms, start.theta, start.beta
         groups = groups_by_effect(forms)
-        parts = [np.full(len(f.signature.names), f.size) for f in forms]
+        parts = [np.full(len(f.names), f.size) for f in forms]
         sizes = np.maximum(np.concatenate(parts), 1.0)
         near: Estimate | None = None
         for _ in range(MAX_ROUNDS):
@@ -250,9 +246,8 @@ class _JointFit:
 
 def _same_forms(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
     """Whether two choices agree in effects, constants, coefficients and sizes."""
-    sizes = [[f.size for f in forms] for forms in (one, other)]
-    names = [[f.signature.names for f in forms] for forms in (one, other)]
-    return _same_constants(one, other) and sizes[0] == sizes[1] and names[0] == names[1]
+    choices = [[(f.size, f.names) for f in forms] for forms in (one, other)]
+    return _same_constants(one, other) and choices[0] == choices[1]
 
 
 def _same_constants(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
@@ -274,16 +269,13 @@ def _linearised(
     columns, names, acting = [], [], []
     start = 0
     for form in forms:
-        coefficients = form.signature.names
         signature = problem.signature(form.effect, form.constants)
-        columns.append(signature.columns_of(coefficients))
-        names += [
-            f"{form.effect.name}{SEPARATOR}{name}" for name in form.signature.names
-        ]
-        values = beta[start : start + len(coefficients)]
-        factors = dict(zip(coefficients, values.tolist(), strict=True))
+        columns.append(signature.columns_of(form.names))
+        names += [f"{form.effect.name}{SEPARATOR}{name}" for name in form.names]
+        values = beta[start : start + len(form.names)]
+        factors = dict(zip(form.names, values.tolist(), strict=True))
         acting.append((form.effect, form.constants, factors))
-        start += len(coefficients)
+        start += len(form.names)
     gradients = np.hstack(columns)
     exact = exact_readings(base, problem.series, theta, problem.states, acting)
     offset = exact - base.readings(problem.series, theta) - gradients @ beta

@@ -17,14 +17,14 @@ Sizes are posterior medians: where the readings tell nothing, the expected one.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg, special
 
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, FAR_SHARE, Effect
-from oed.gap import GapProblem, Metric, Signature
+from oed.gap import ActingEffectForm, GapProblem, Metric, Signature
 
 MAX_FULL_GRID = 64  #: constants beyond which textbook forms alone are scanned
 N_PASSES = 2  #: passes over the effects
@@ -39,12 +39,9 @@ Groups = Sequence[Index]
 
 
 @dataclasses.dataclass(frozen=True)
-class ChosenForm:
+class ChosenForm(ActingEffectForm):
     """The form of an effect that suits the readings best."""
 
-    effect: Effect  #: the effect
-    constants: Mapping[str, float]  #: {constant: value}
-    size: float  #: factor on its prior standard deviations
     signature: Signature  #: change of the readings per prior standard deviation
 
 
@@ -85,11 +82,11 @@ def _best_form(
         if values.max() > best_value:
             best_value = float(values.max())
             size = float(EFFECT_SIZES.values[np.argmax(values)])
-            best = ChosenForm(effect, constants, size, signature)
+            best = ChosenForm(effect, constants, signature.names, size, signature)
     if best is None or not textbook:
         return best
     adapted = problem.signature(effect, best.constants)
-    return dataclasses.replace(best, signature=adapted)
+    return dataclasses.replace(best, names=adapted.names, signature=adapted)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """What effects at their expected sizes do to readings and to poses over the workspace.
 
-ActingForm        an effect at its constants, with the coefficients that count
 SessionStates     states of a session, from which those of the workspace are drawn
 ExpectedColumns   effects at their expected sizes, as columns of the readings
 ExpectedEffect    errors by one effect that a model lacks
@@ -18,7 +17,7 @@ from oed.base import door
 if TYPE_CHECKING:
     from oed.effects.columns import ExpectedColumns
     from oed.effects.courses import Course, CourseColumns, PlannedEffects
-    from oed.effects.effect_maps import ActingForm, SessionStates, absorbing_shift
+    from oed.effects.effect_maps import SessionStates, absorbing_shift
     from oed.effects.unmodelled import ExpectedEffect, ExpectedEffects
 else:
     __getattr__ = door(__name__)

@@ -19,14 +19,9 @@ import scipy
 from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
 from oed.effect_model import Column, Effect, State
-from oed.effects.effect_maps import (
-    ActingForm,
-    SessionStates,
-    effect_maps,
-    session_state,
-)
+from oed.effects.effect_maps import SessionStates, effect_maps, session_state
 from oed.estimation import Discrepancy
-from oed.gap import GapProblem, Signature
+from oed.gap import ActingEffectForm, GapProblem, Signature
 from oed.linear_algebra import right_singular
 from oed.mechanism import NO_TOOL
 
@@ -167,7 +162,7 @@ class ExpectedColumns:
 
     discrepancy: Discrepancy  #: what they do to the readings
     #: effects at their constants, with all of their coefficients
-    forms: tuple[ActingForm, ...]
+    forms: tuple[ActingEffectForm, ...]
     mixing: Array  #: (a, k) of all a coefficients of the forms in each of the k columns
 
     @classmethod
@@ -176,7 +171,7 @@ class ExpectedColumns:
         if len(parts) < 2:
             return parts[0] if parts else None
         names: list[str] = []
-        forms: list[ActingForm] = []
+        forms: list[ActingEffectForm] = []
         groups: list[Index] = []
         for part in parts:
             groups.append(part.discrepancy.group + len(names))
@@ -263,7 +258,7 @@ class ExpectedColumns:
         reading.
         """
         machine = problem.measurement.machine
-        forms: list[ActingForm] = []
+        forms: list[ActingEffectForm] = []
         groups: list[_EffectGroup] = []
         for effect in effects:
             if effect.unfit(machine) is None:
@@ -335,7 +330,7 @@ def _typical_size(known_groups: Sequence[_EffectGroup], unknown: _EffectGroup) -
 
 
 def _groups_of(
-    problem: GapProblem, effect: Effect, forms: list[ActingForm], *, unknown: bool
+    problem: GapProblem, effect: Effect, forms: list[ActingEffectForm], *, unknown: bool
 ) -> list[_EffectGroup]:
     """The groups of one effect; its forms are appended to `forms`."""
     grid = effect.constant_grid()
@@ -346,7 +341,7 @@ def _groups_of(
         tool = _tool_changes(problem.states, effect, constants)
         if signature.names:
             signatures.append((len(forms), signature, tool))
-            forms.append(ActingForm(effect, constants, signature.names))
+            forms.append(ActingEffectForm(effect, constants, signature.names, 1.0))
     labels = dict.fromkeys(label for _, s, _ in signatures for label in s.labels)
     share = 1.0 / np.sqrt(max(len(signatures), 1))
     groups = []
@@ -384,7 +379,7 @@ def _tool_changes(
 
 
 def _assembled(
-    problem: GapProblem, forms: list[ActingForm], groups: list[_EffectGroup]
+    problem: GapProblem, forms: list[ActingEffectForm], groups: list[_EffectGroup]
 ) -> ExpectedColumns:
     """All groups side by side."""
     numbers_of: dict[tuple[int, str], int] = {}

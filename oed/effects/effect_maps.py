@@ -20,7 +20,7 @@ import numpy as np
 from oed import gap
 from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array
-from oed.effect_model import Column, Effect, State
+from oed.effect_model import Column, State
 from oed.measurement import Measurement, Series
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics
 from oed.model import Machine
@@ -28,7 +28,7 @@ from oed.model import Machine
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oed.gap import GapProblem
+    from oed.gap import ActingEffectForm, GapProblem
 
 
 #: a parameter moves by a tolerance where this takes such a share of the error before
@@ -58,15 +58,6 @@ def absorbing_shift(maps: ErrorMaps, errors: Array, tolerance: Array) -> Array:
     shift = np.zeros((len(tolerance), *several))
     shift[free] = (solution.T * tolerance[free]).T
     return shift
-
-
-@dataclasses.dataclass(frozen=True)
-class ActingForm:
-    """An effect at its constants, and the names of the coefficients that count."""
-
-    effect: Effect
-    constants: Mapping[str, float]
-    names: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,7 +183,7 @@ def _first_row(covariates: pd.DataFrame, rows: pd.DataFrame) -> pd.Series:
 
 def effect_maps(
     kinematics: Kinematics,
-    forms: Sequence[ActingForm],
+    forms: Sequence[ActingEffectForm],
     state: State,
     parameters: Array,
     command: Array,

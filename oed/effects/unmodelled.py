@@ -26,13 +26,8 @@ from oed import units
 from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference, predict
 from oed.base import Array, Mask
 from oed.effect_model import Effect, State
-from oed.effects.effect_maps import (
-    ActingForm,
-    SessionStates,
-    absorbing_shift,
-    effect_maps,
-)
-from oed.gap import GapProblem, untestable
+from oed.effects.effect_maps import SessionStates, absorbing_shift, effect_maps
+from oed.gap import ActingEffectForm, GapProblem, untestable
 from oed.linear_algebra import covariance_root
 
 N_CONSTANTS = 5  #: points of an effect's constants that are tried
@@ -152,7 +147,7 @@ class ExpectedEffects:
 class _Form:
     """An effect at one set of constants, with its textbook's coefficients."""
 
-    acting: ActingForm
+    acting: ActingEffectForm
     sizes: Mapping[str, float]
     changes: Array  #: (N, m) of the readings per prior standard deviation, SI
 
@@ -291,6 +286,6 @@ def _forms(problem: GapProblem, effect: Effect, state: State) -> list[_Form]:
         for k, name in enumerate(signature.names):
             if name in sizes:
                 changes[:, names.index(name)] = signature.columns[:, k]
-        acting = ActingForm(effect, constants, tuple(names))
+        acting = ActingEffectForm(effect, constants, tuple(names), 1.0)
         forms.append(_Form(acting, sizes, changes))
     return forms

@@ -295,7 +295,7 @@ class ParameterChange:
         information = (self.root**2).sum(axis=0)
         determined = np.flatnonzero(information > MIN_INFORMATION)
         for size in (1, 2):
-            tried = map(self._cause, itertools.combinations(determined, size))
+            tried = map(self._cause, itertools.combinations(determined.tolist(), size))
             causes = sorted(filter(None, tried), key=lambda cause: cause.chi2)
             if not causes or causes[0].explains_all:
                 break
