@@ -55,12 +55,7 @@ class TimeColumn:
         return {unit: ratio for unit, ratio in ratios.items() if unit != self.unit}
 
 
-def time_column(session: SessionReadings) -> TimeColumn:
-    """The column of the times of a session, in s where it came from no file."""
-    if "time" not in session.columns:
-        return TimeColumn("time_s", "s", 1.0)
-    column = session.columns["time"]
-    return TimeColumn(column.name, column.name.rpartition("_")[2], column.factor)
+SECONDS = TimeColumn("time_s", "s", 1.0)  #: of times that came from no file
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -73,6 +68,7 @@ class TimedRun:
     rows: Array  #: (n,) in the files
     times: Array  #: (n,) s
     joints: Array  #: (n, nq) over their range in the session
+    column: TimeColumn = SECONDS  #: of the times
 
     def __len__(self) -> int:
         return len(self.times)
@@ -102,6 +98,10 @@ class TimedRun:
         """Shortest time from one reading to the next, s."""
         steps = np.diff(np.unique(self.times))
         return float(steps.min()) if steps.size else 0.0
+
+    def stamp(self, k: int) -> str:
+        """`120 s in row 7`, of a reading."""
+        return f"{self.column.written(self.times[k])} in row {self.rows[k]}"
 
     def rows_from(self, first: int = 0) -> tuple[Row, ...]:
         """Rows of the files from a reading on."""
@@ -133,6 +133,11 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
     """The runs of a session in the order of the file, with the readings that have a time."""
     if "time" not in session.values:
         return []
+    column = SECONDS
+    if "time" in session.columns:
+        written = session.columns["time"]
+        unit = written.name.rpartition("_")[2]
+        column = TimeColumn(written.name, unit, written.factor)
     joints = session.joints / np.maximum(np.ptp(session.joints, axis=0), 1e-12)
     runs = []
     for setup, run, every in session.ordered_runs():
@@ -141,7 +146,7 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
         places = joints[ordered["reading"].to_numpy()]
         if len(times):
             rows = ordered["row"].to_numpy()
-            runs.append(TimedRun(setup, run, rows, times, places))
+            runs.append(TimedRun(setup, run, rows, times, places, column))
     return sorted(runs, key=lambda one: one.rows.min())
 
 
@@ -149,58 +154,53 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
 FAR_STEPS = 10.0
 
 
-def first_run_fault(runs: Sequence[TimedRun], column: TimeColumn) -> list[CheckFinding]:
+def first_run_fault(runs: Sequence[TimedRun]) -> list[CheckFinding]:
     """The first run of each kind of fault, and how many others have one."""
     by_kind: dict[str, list[CheckFinding]] = {}
     for run in runs:
-        finding = _finding(run, column) if len(run) >= MIN_CADENCE_READINGS else None
+        finding = _finding(run) if len(run) >= MIN_CADENCE_READINGS else None
         if finding is not None:
             by_kind.setdefault(finding.kind, []).append(finding)
-    return [_first(some) for some in by_kind.values()]
+    findings = []
+    for first, *others in by_kind.values():
+        rows = tuple(row for one in (first, *others) for row in one.rows)
+        runs_alike = "1 other run" if len(others) == 1 else f"{len(others)} other runs"
+        also = f" The same in {runs_alike}." if others else ""
+        sentence = first.sentence + also
+        findings.append(CheckFinding(first.severity, first.kind, sentence, rows))
+    return findings
 
 
-def _first(some: Sequence[CheckFinding]) -> CheckFinding:
-    first = some[0]
-    count = len(some) - 1
-    if not count:
-        return first
-    runs = "1 other run" if count == 1 else f"{count} other runs"
-    rows = tuple(row for one in some for row in one.rows)
-    sentence = f"{first.sentence} The same in {runs}."
-    return CheckFinding(first.severity, first.kind, sentence, rows)
-
-
-def _finding(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
-    steps = np.diff(run.times)
+def _finding(run: TimedRun) -> CheckFinding | None:
+    steps, name = np.diff(run.times), run.column.name
     if not steps.any():
-        return _constant(run, column)
+        if not are_apart(run.joints[1:], run.joints[:-1]).all():
+            return None
+        sentence = (
+            f"{name} is {run.column.written(run.times[0])} in all {len(run)} rows of {run.name} (row"
+            f" {run.rows[0]} on), though their poses differ: it is no time of a reading. State"
+            " the time of each reading, or leave the cells empty."
+        )
+        return CheckFinding(Severity.REMARK, "time constant", sentence, run.rows_from())
     if (steps < 0.0).any():
         k = int(np.flatnonzero(steps < 0.0)[0])
-        before, after = run.times[k : k + 2]
         sentence = (
-            f"{column.name} runs backward in {run.name}: {column.written(before)} in row {run.rows[k]},"
-            f" {column.written(after)} in row {run.rows[k + 1]}, though order has them one after the"
-            f" other. {_cause(run, steps, column)}."
+            f"{name} runs backward in {run.name}: {run.stamp(k)}, {run.stamp(k + 1)}, though order has"
+            f" them one after the other. {_cause(run, steps)}."
         )
         return CheckFinding(Severity.ORDER, "time back", sentence, run.rows_from(k + 1))
-    return _jump(run, steps, column)
-
-
-def _constant(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
-    if not are_apart(run.joints[1:], run.joints[:-1]).all():
+    k = int(np.argmax(steps))
+    remedy = _remedy_of_jump(run, steps, k)
+    if remedy is None:
         return None
     sentence = (
-        f"{column.name} is {column.written(run.times[0])} in all {len(run)} rows of {run.name} (row"
-        f" {run.rows[0]} on), though their poses differ: it is no time of a reading. State"
-        " the time of each reading, or leave the cells empty."
+        f"{name} jumps in {run.name}: {run.stamp(k)}, {run.stamp(k + 1)}. {remedy}."
     )
-    return CheckFinding(Severity.REMARK, "time constant", sentence, run.rows_from())
+    return CheckFinding(Severity.REMARK, "time jump", sentence, run.rows_from(k + 1))
 
 
 # -- times that go back ----------------------------------------------------------------
-
-
-def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:
+def _cause(run: TimedRun, steps: Array) -> str:
     """Why times go back, and the remedy."""
     first = int(np.flatnonzero(steps < 0.0)[0]) + 1
     row = run.rows[first]
@@ -208,13 +208,18 @@ def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:
         return "The whole run is in reversed order: correct order, or its times"
     turn = _turn(steps)
     if turn is not None:
-        return f"{capitalised(CLOCK_TURNS[turn])}: add {_hours(turn)} from row {row} on"
-    unit = _other_unit(run.times, first, column)
+        hours = turn / HOUR
+        return f"{capitalised(CLOCK_TURNS[turn])}: add {hours:.0f} h from row {row} on"
+    unit = _other_unit(run, first)
     if unit is not None:
-        return unit.format(row=row, last=run.rows[first - 1])
-    single = _single_row(run)
-    if single is not None:
-        return f"The time of row {single} is wrong: correct it, or leave it empty"
+        return unit
+    in_order = [
+        run.rows[k]
+        for k in (first - 1, first)
+        if (np.diff(np.delete(run.times, k)) >= 0.0).all()
+    ]
+    if len(in_order) == 1:
+        return f"The time of row {in_order[0]} is wrong: correct it, or leave it empty"
     if run.times[first] <= PAUSE_STEPS * typical(steps):
         return f"The clock was set to zero at row {row}: add the time that passed"
     return "Correct order or the times"
@@ -230,16 +235,15 @@ def _turn(steps: Array) -> float | None:
     return None
 
 
-def _other_unit(times: Array, first: int, column: TimeColumn) -> str | None:
+def _other_unit(run: TimedRun, first: int) -> str | None:
     """In which unit the times from a place on are, or those before it, with the remedy."""
-    for unit, factor in column.others.items():
-        wrong = f"{unit}, not in {column.unit}"
-        after = np.concatenate([times[:first], factor * times[first:]])
-        if _go_on(after, first):
-            return f"From row {{row}} on they are in {wrong}: convert them"
-        before = np.concatenate([factor * times[:first], times[first:]])
-        if _go_on(before, first):
-            return f"Up to row {{last}} they are in {wrong}: convert them"
+    before, after = np.split(run.times, [first])
+    for unit, factor in run.column.others.items():
+        wrong = f"{unit}, not in {run.column.unit}"
+        if _go_on(np.concatenate([before, factor * after]), first):
+            return f"From row {run.rows[first]} on they are in {wrong}: convert them"
+        if _go_on(np.concatenate([factor * before, after]), first):
+            return f"Up to row {run.rows[first - 1]} they are in {wrong}: convert them"
     return None
 
 
@@ -254,40 +258,19 @@ def _go_on(times: Array, first: int) -> bool:
     return bool(is_near) and alike(*(typical(side) for side in sides))
 
 
-def _single_row(run: TimedRun) -> Row | None:
-    """The one row without which the times are in order; None where there is none."""
-    k = int(np.flatnonzero(np.diff(run.times) < 0.0)[0])
-    single = [
-        one for one in (k, k + 1) if (np.diff(np.delete(run.times, one)) >= 0.0).all()
-    ]
-    return run.rows[single[0]] if len(single) == 1 else None
-
-
 # -- times that jump -------------------------------------------------------------------
-def _jump(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding | None:
-    """Half a day or a day too much, or another unit from a row on."""
-    k = int(np.argmax(steps))
+def _remedy_of_jump(run: TimedRun, steps: Array, k: int) -> str | None:
+    """Half a day or a day too much, or another unit from row k + 1 on; None of others."""
     others = np.delete(steps, k)
-    row = run.rows[k + 1]
-    remedy = None
+    if steps[k] > PAUSE_STEPS * others[:k].max(initial=0.0):
+        unit = _other_unit(run, k + 1)
+        if unit is not None:
+            return unit
     for turn in (HALF_DAY, DAY):
-        is_turn = abs(steps[k] - turn) <= PAUSE_STEPS * others.max() < turn / FAR_STEPS
-        if is_turn:
-            remedy = f"If it was no pause, subtract {_hours(turn)} from there on"
-    unit = _other_unit(run.times, k + 1, column)
-    if unit is not None and steps[k] > PAUSE_STEPS * others[:k].max(initial=0.0):
-        remedy = unit.format(row=row, last=run.rows[k])
-    if remedy is None:
-        return None
-    sentence = (
-        f"{column.name} jumps in {run.name}: {column.written(run.times[k])} in row {run.rows[k]},"
-        f" {column.written(run.times[k + 1])} in row {row}. {remedy}."
-    )
-    return CheckFinding(Severity.REMARK, "time jump", sentence, run.rows_from(k + 1))
-
-
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600.0:.0f} h"
+        if abs(steps[k] - turn) <= PAUSE_STEPS * others.max() < turn / FAR_STEPS:
+            hours = turn / HOUR
+            return f"If it was no pause, subtract {hours:.0f} h from there on"
+    return None
 
 
 #: turns that bring later runs after earlier ones, in words
@@ -296,9 +279,7 @@ LATER_WORDS = {HALF_DAY: "12 h (a clock of 12 hours)", DAY: "24 h (another day)"
 Clash = tuple[TimedRun, int, TimedRun, int]  #: rows of two runs at one time
 
 
-def first_fault_of_runs(
-    runs: Sequence[TimedRun], column: TimeColumn
-) -> list[CheckFinding]:
+def first_fault_of_runs(runs: Sequence[TimedRun]) -> list[CheckFinding]:
     """The first fault of the times of several runs."""
     paced = [
         run for run in runs if len(run) >= MIN_CADENCE_READINGS and run.cadence > 0.0
@@ -307,12 +288,8 @@ def first_fault_of_runs(
         return []
     clash = first_clash(paced)
     if clash is not None:
-        return [_own_clocks(paced, column) or _clashing(paced, clash, column)]
-    finding = (
-        _run_in_other_unit(paced, column)
-        or _half_day_back(paced, column)
-        or _overlapping(paced, column)
-    )
+        return [_own_clocks(paced) or _clashing(paced, clash)]
+    finding = _run_in_other_unit(paced) or _half_day_back(paced) or _overlapping(paced)
     return [finding] if finding else []
 
 
@@ -348,8 +325,9 @@ def _clash(one: TimedRun, other: TimedRun) -> Clash | None:
     return a, i, b, j
 
 
-def _own_clocks(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | None:
+def _own_clocks(runs: Sequence[TimedRun]) -> CheckFinding | None:
     """Runs, or set-ups, whose clocks begin alike."""
+    column = runs[0].column
     of_setups: dict[str, TimedRun] = {}
     for run in sorted(runs, key=lambda run: run.start):
         of_setups.setdefault(run.setup, run)
@@ -366,21 +344,21 @@ def _own_clocks(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | 
     return None
 
 
-def _clashing(
-    runs: Sequence[TimedRun], clash: Clash, column: TimeColumn
-) -> CheckFinding:
+def _clashing(runs: Sequence[TimedRun], clash: Clash) -> CheckFinding:
     one, i, other, j = clash
+    column = one.column
     sentence = (
         f"{column.name} overlaps: row {one.rows[i]} ({one.name}) is at {column.written(one.times[i])} and"
         f" row {other.rows[j]} ({other.name}) at {column.written(other.times[j])}, with the machine at"
-        f" two poses at once. {_remedy(runs, column)}."
+        f" two poses at once. {_remedy(runs)}."
     )
     return CheckFinding(Severity.ORDER, "time clash", sentence, other.rows_from())
 
 
-def _remedy(runs: Sequence[TimedRun], column: TimeColumn) -> str:
+def _remedy(runs: Sequence[TimedRun]) -> str:
     """What brings the runs one after the other."""
-    for k, unit in _other_units(runs, column):
+    column = runs[0].column
+    for k, unit in _other_units(runs):
         changed = _with(runs, k, k + 1, column.others[unit], 0.0)
         if first_clash(changed) is None:
             name = capitalised(runs[k].name)
@@ -406,12 +384,10 @@ def _follows_later(runs: Sequence[TimedRun], k: int, turn: float) -> bool:
 
 
 # -- times that are doubtful -----------------------------------------------------------
-def _run_in_other_unit(
-    runs: Sequence[TimedRun], column: TimeColumn
-) -> CheckFinding | None:
+def _run_in_other_unit(runs: Sequence[TimedRun]) -> CheckFinding | None:
     """A run with the steps of the others, and in its place, in another unit."""
-    for k, unit in _other_units(runs, column):
-        run = runs[k]
+    for k, unit in _other_units(runs):
+        run, column = runs[k], runs[k].column
         sentence = (
             f"{column.name} of {run.name} (row {run.rows[0]} on) looks as if it were in {unit}, not"
             f" in {column.unit}: its steps are {column.written(run.cadence)}, those of other"
@@ -421,12 +397,12 @@ def _run_in_other_unit(
     return None
 
 
-def _other_units(runs: Sequence[TimedRun], column: TimeColumn) -> list[tuple[int, str]]:
+def _other_units(runs: Sequence[TimedRun]) -> list[tuple[int, str]]:
     """Runs, by number, with the unit in which they are paced and placed like the others."""
     units = []
     for k, run in enumerate(runs):
         usual = _cadence_of_others(runs, k)
-        for unit, factor in column.others.items():
+        for unit, factor in run.column.others.items():
             changed = _with(runs, k, k + 1, factor, 0.0)
             is_paced = alike(factor * run.cadence, usual)
             if is_paced and _away(changed, k) < _away(runs, k):
@@ -448,8 +424,9 @@ def _away(runs: Sequence[TimedRun], k: int) -> float:
     return float("inf") if min(gaps) < 0.0 else max(gaps)
 
 
-def _overlapping(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | None:
+def _overlapping(runs: Sequence[TimedRun]) -> CheckFinding | None:
     """Runs that take turns, at other poses: no sign of a mistake alone."""
+    column = runs[0].column
     by_start = sorted(runs, key=lambda run: run.start)
     for one, other in itertools.pairwise(by_start):
         if other.start < one.end and not _share_poses(one, other):
@@ -472,14 +449,14 @@ def _share_poses(one: TimedRun, other: TimedRun) -> bool:
     return bool(np.mean(distance <= APART_SHARE) >= 0.5)
 
 
-def _half_day_back(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | None:
+def _half_day_back(runs: Sequence[TimedRun]) -> CheckFinding | None:
     """Runs that stand after others in the file, and half a day or more before them."""
     for k in range(1, len(runs)):
         back = max(run.end for run in runs[:k]) - runs[k].start
         for turn, text in LATER_WORDS.items():
             if back >= 0.5 * turn and _follows_later(runs, k, turn):
                 sentence = (
-                    f"{column.name} goes back from {runs[k - 1].name} to {runs[k].name} (row"
+                    f"{runs[k].column.name} goes back from {runs[k - 1].name} to {runs[k].name} (row"
                     f" {runs[k].rows[0]}). If the runs were taken in the order of the file,"
                     f" add {text} from there on."
                 )
@@ -499,5 +476,4 @@ def _with(
 def wrong_times(session: SessionReadings) -> list[CheckFinding]:
     """What is wrong with the times of a session; nothing where no reading has one."""
     runs = timed_runs(session)
-    column = time_column(session)
-    return first_run_fault(runs, column) or first_fault_of_runs(runs, column)
+    return first_run_fault(runs) or first_fault_of_runs(runs)
