@@ -18,12 +18,7 @@ from scipy import special
 from oed.base import Array
 from oed.checks.fit import CANNOT_BE, Fit, fit_amounts, fit_of_any_misfit
 from oed.checks.mistakes import MistakeTrial, Suspect, trials
-from oed.checks.mistakes.suspect import (
-    Scope,
-    cuts_are_coarse,
-    part_scopes,
-    several_runs,
-)
+from oed.checks.mistakes.suspect import Scope, several_runs
 from oed.checks.mistakes.trial import OnScope, mistakes_of_scopes
 from oed.checks.outlier_odds import MAX_GROSS_SHARE
 from oed.checks.outliers import MEDIAN_SIZE, find_outliers
@@ -72,7 +67,7 @@ def candidates(
 ) -> tuple[list[Candidate], list[Candidate]]:
     """Mistakes to fit: the likeliest in the linear model, then those of each kind."""
     every = _scored(screening, trials(data, of_noise=of_noise))
-    if cuts_are_coarse(data.session):
+    if data.cut_step > 1:
         every += _scored(screening, _neighbouring_parts(data, every))
     every += _scored(screening, _several_runs_trials(data, every))
     every += _improved(data, screening, every)
@@ -181,7 +176,7 @@ def _neighbouring_parts(
     """Mistakes of rows that begin or end near those of the likeliest ones."""
     of_rows = [one for one in every if one.trial.scope.level == "rows"]
     likeliest = [one.trial.scope for one in _likeliest_first(of_rows)[:3]]
-    near = part_scopes(data.session, likeliest)
+    near = data.parts_near(likeliest)
     for on in dict.fromkeys(one.trial.on for one in of_rows):
         if on is not None:
             yield from mistakes_of_scopes(near, on)

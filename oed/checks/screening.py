@@ -132,7 +132,7 @@ class Screening:
         y = data.session.y if trial.y is None else trial.y
         predicted, slopes = data.predicted, data.slopes
         if trial.table is not None:
-            inside = trial.scope.values(data.session)
+            inside = trial.scope.values
             predicted = np.where(inside, trial.table.predicted, predicted)
             slopes = np.where(inside[:, None], trial.table.slopes, slopes)
             amount = np.where(inside[:, None], trial.table.by_amount, 0.0)

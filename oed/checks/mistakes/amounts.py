@@ -9,21 +9,23 @@ of sight: other channels change at other poses, and no offset of a channel says 
 import dataclasses
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
 
 from oed import units
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index
 from oed.checks.findings import rounded
 from oed.checks.mistakes.moved import AGAIN_SUFFIX, mounted_again, with_moved
-from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect, rows_scope
+from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect
 from oed.checks.mistakes.trial import (
     MistakeTrial,
     Words,
     amount,
     mistakes_of_scopes,
     mistakes_of_values,
+    plain,
 )
 from oed.checks.session import SessionReadings
 from oed.instrument import InnerReading
@@ -42,65 +44,60 @@ N_STRETCHES = 5
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Zeros, offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
     yield from _zeros(data)
-    yield from mistakes_of_values(data, partial(_offset, data))
-    yield from mistakes_of_values(data, partial(_scale, data))
-    yield from mistakes_of_values(data, partial(_offsets_of_runs, data))
+    for make in (_offset, _scale, _offsets_of_runs):
+        yield from mistakes_of_values(data, make)
     yield from _offsets_of_stretches(data)
-    scopes = [*data.scopes, *data.parts]
-    yield from filter(None, (_moved_setup(data, scope) for scope in scopes))
+    yield from filter(None, map(_moved_setup, [*data.scopes, *data.parts]))
     yield from _sizes(data)
 
 
 # -- readings --------------------------------------------------------------------------
-def _subject(data: Suspect, scope: Scope, values: Mask) -> str:
-    if scope.level == "instrument":
-        return f"all readings{scope.of} are"
-    return f"all readings of {data.names(values)}{scope.within} are"
+def _subject(scope: Scope) -> str:
+    of = scope.of if scope.level == "instrument" else f" of {scope.columns_within}"
+    return f"all readings{of} are"
 
 
-def _has_one(data: Suspect, scope: Scope, values: Mask) -> bool:
+def _is_of_one(scope: Scope) -> bool:
     """Whether one instrument reads all values, in one channel."""
-    return scope.level == "instrument" or len(set(data.channel[values])) == 1
+    return scope.level == "instrument" or len(scope.channels) == 1
 
 
 def _shifted_values(
-    data: Suspect, kind: str, scope: Scope, text: Words, columns: Array, family: str
+    scope: Scope, kind: str, text: Words, columns: Array, family: str, **more: Any
 ) -> MistakeTrial:
     """Values that are off by columns (N, k) times amounts."""
-    session = data.session
+    session = scope.session
     size = np.abs(columns)
-    noise = np.broadcast_to(data.sigma[:, None], size.shape)
+    noise = np.broadcast_to(scope.data.sigma[:, None], size.shape)
     step = float((noise[size > 0.0] / size[size > 0.0]).min())
     return MistakeTrial(
         kind=kind,
         scope=scope,
         text=text,
-        session=session,
         change=lambda amounts: [session.with_y(session.y - columns @ amounts)],
         amounts=np.zeros(columns.shape[1]),
-        steps=np.full(columns.shape[1], step),
+        steps=np.full(columns.shape[1], more.pop("step", step)),
         family=f"{family} {scope.name}",
         columns=columns,
+        **more,
     )
 
 
-def _offset(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
-    if not _has_one(data, scope, values):
+def _offset(scope: Scope) -> MistakeTrial | None:
+    if not _is_of_one(scope):
         return None
-    session = data.session
-    channel = str(data.channel[values][0])
+    channel = scope.channels[0]
     kind, cause = "offset", "the bar length or the zero of the instrument is wrong"
     if scope.is_part:
         kind, cause = "run", "the set-up moved or was zeroed again"
 
     def text(amounts: Array, sd: Array) -> str:
-        size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
-        subject = _subject(data, scope, values)
-        return f"{subject} off by {size} (sd {error}): {cause}"
+        size, error = (scope.session.fine(channel, float(v[0])) for v in (amounts, sd))
+        return f"{_subject(scope)} off by {size} (sd {error}): {cause}"
 
-    column = np.asarray(values, dtype=float)[:, None]
-    family = "offset" if len(set(data.channel)) == 1 else f"offset {channel}"
-    return _shifted_values(data, kind, scope, text, column, family)
+    column = np.asarray(scope.values, dtype=float)[:, None]
+    family = "offset" if len(set(scope.data.channel)) == 1 else f"offset {channel}"
+    return _shifted_values(scope, kind, text, column, family)
 
 
 def _offsets_of_stretches(data: Suspect) -> Iterator[MistakeTrial]:
@@ -115,14 +112,13 @@ def _offsets_of_stretches(data: Suspect) -> Iterator[MistakeTrial]:
     for channel in dict.fromkeys(data.channel[data.shown]):
         gains: list[tuple[float, Index]] = []
         for run in data.runs:
-            inside = (data.channel == channel) & run.values(data.session)
-            places = np.flatnonzero(inside)
+            places = np.flatnonzero((data.channel == channel) & run.values)
             gains += _gains(pull[places], precision[np.ix_(places, places)], places)
         gains.sort(key=lambda one: -one[0])
         for _, places in gains[:N_STRETCHES]:
-            readings = data.session.reading_of_value[places]
+            rows = data.rows_scope(data.session.reading_of_value[places])
             values = np.isin(np.arange(len(pull)), places)
-            one = _offset(data, rows_scope(data.session, readings), values)
+            one = _offset(dataclasses.replace(rows, values=values))
             if one is not None:
                 share = float(np.log(N_STRETCHES / len(gains)))
                 yield dataclasses.replace(one, log_prior=min(share, 0.0))
@@ -141,99 +137,86 @@ def _gains(pull: Array, precision: Array, places: Index) -> list[tuple[float, In
     return gains
 
 
-def _offsets_of_runs(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _offsets_of_runs(scope: Scope) -> MistakeTrial | None:
     """Each run of a file or a set-up off by an amount of its own."""
-    parts = [run.values(data.session) & values for run in data.runs]
+    parts = [run.values & scope.values for run in scope.data.runs]
     columns = np.column_stack([p for p in parts if p.any()]).astype(float)
-    is_one = _has_one(data, scope, values)
-    if not is_one or scope.is_part or columns.shape[1] < 2:
+    if not _is_of_one(scope) or scope.is_part or columns.shape[1] < 2:
         return None
-    channel = str(data.channel[values][0])
+    channel = scope.channels[0]
 
     def text(amounts: Array, sd: Array) -> str:
-        least, most = (data.session.fine(channel, f(amounts)) for f in (np.min, np.max))
+        ends = amounts.min(), amounts.max()
+        least, most = (scope.session.fine(channel, float(end)) for end in ends)
         return (
-            f"{_subject(data, scope, values)} off by an amount of each run, {least} to"
+            f"{_subject(scope)} off by an amount of each run, {least} to"
             f" {most}: the instrument was not zeroed at each run, or moved between them"
         )
 
-    return _shifted_values(data, "run", scope, text, columns, f"offsets {channel}")
+    return _shifted_values(scope, "run", text, columns, f"offsets {channel}")
 
 
-def _scale(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _scale(scope: Scope) -> MistakeTrial | None:
     """Values of one unit times 1 / (1 - a), with the amount a."""
-    session = data.session
+    data, session, values = scope.data, scope.session, scope.values
     count = int(values.sum())
-    is_of_one = len(set(session.values["setup"][values])) == 1
-    is_of_one &= len(set(data.unit[values])) == 1
-    if not is_of_one and not _has_one(data, scope, values):
+    is_of_setup = len(set(session.values["setup"][values])) == 1
+    has_one_unit = len(set(data.unit[values])) == 1
+    if not (is_of_setup and has_one_unit) and not _is_of_one(scope):
         return None
 
     def text(amounts: Array, sd: Array) -> str:
         rest = 1.0 - float(amounts[0])
         size, error = 100.0 * float(amounts[0]) / rest, 100.0 * float(sd[0]) / rest**2
         return (
-            f"{_subject(data, scope, values)} {rounded(abs(size), error)} %"
+            f"{_subject(scope)} {rounded(abs(size), error)} %"
             f" (sd {error:.2g} %) too {'large' if size > 0.0 else 'small'}: the scale or"
             " conversion factor of the instrument is wrong"
         )
 
-    column = np.where(values, session.y, 0.0)[:, None]
-    family = f"factor {data.names(values)}"
-    return dataclasses.replace(
-        _shifted_values(data, "factor", scope, text, column, family),
-        steps=np.array([1e-6]),
+    def scaling(amounts: Array) -> float:
+        return count * float(np.log(max(abs(1.0 - amounts[0]), 1e-12)))
+
+    return _shifted_values(
+        scope,
+        "factor",
+        text,
+        np.where(values, session.y, 0.0)[:, None],
+        f"factor {scope.columns}",
+        step=1e-6,
         log_prior=PART_LOG_PRIOR if scope.is_part else 0.0,
-        scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
+        scaling=scaling,
     )
 
 
-def _log_size(factor: float) -> float:
-    return float(np.log(max(abs(factor), 1e-12)))
-
-
 # -- set-ups that moved ----------------------------------------------------------------
-def _moved_setup(data: Suspect, scope: Scope) -> MistakeTrial | None:
+def _moved_setup(scope: Scope) -> MistakeTrial | None:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
-    names = data.session.values["setup"].to_numpy()
-    inside = scope.values(data.session)
+    data, session, inside = scope.data, scope.session, scope.values
+    names = session.values["setup"].to_numpy()
     setup = str(names[inside][0])
     is_part = scope.level in ("run", "rows") and ((names == setup) & ~inside).any()
-    free = _unknowns(data, setup)
-    if (
-        not is_part
-        or (names[inside] != setup).any()
-        or _is_an_offset(data, free, inside)
-    ):
+    if not is_part or (names[inside] != setup).any():
         return None
-    if not 0 < 2 * free.size <= inside.sum():
+    measurement = session.measurement
+    unknowns = [measurement.names[k] for k in np.flatnonzero(measurement.free)]
+    free = [k for k, name in enumerate(unknowns) if name.startswith(f"{setup}.")]
+    slopes = data.slopes[inside][:, free]
+    # the only unknown of a set-up may move all its readings alike
+    is_offset = len(free) == 1 and np.ptp(slopes) <= 1e-9 * np.abs(slopes).max()
+    if is_offset or not 0 < 2 * len(free) <= inside.sum():
         return None
     return MistakeTrial(
         kind="run",
         scope=scope,
-        text=lambda amounts, sd: (
+        text=plain(
             f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
             " up again"
         ),
-        session=data.session,
-        change=lambda amounts: [_set_up_again(data.session, scope.readings, setup)],
+        change=lambda amounts: [_set_up_again(session, scope.readings, setup)],
         family=f"moved {scope.name}",
         columns=np.where(inside[:, None], data.slopes[:, free], 0.0),
     )
-
-
-def _unknowns(data: Suspect, setup: str) -> Index:
-    """Free unknowns of a set-up, among the free parameters."""
-    measurement = data.session.measurement
-    free = [measurement.names[k] for k in np.flatnonzero(measurement.free)]
-    places = [k for k, name in enumerate(free) if name.startswith(f"{setup}.")]
-    return np.array(places, dtype=np.intp)
-
-
-def _is_an_offset(data: Suspect, free: Index, inside: Mask) -> bool:
-    """Whether the only unknown of a set-up moves all its readings alike."""
-    slopes = data.slopes[np.ix_(inside, free)]
-    return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
 
 
 def _set_up_again(
@@ -280,7 +263,7 @@ def _size(data: Suspect, k: int, column: int) -> MistakeTrial:
         kind="size",
         scope=data.file,
         text=text,
-        session=wider,
+        change=lambda amounts: [wider],
         estimated=lambda solution: solution.parameter(parameter.name),
         family=f"size {parameter.name}",
         columns=(WIDENED_TOLERANCES * data.slopes[:, column])[:, None],
@@ -293,7 +276,7 @@ def _zeros(data: Suspect) -> Iterator[MistakeTrial]:
     setups = data.session.measurement.setups.values()
     inner = {one.name: one for s in setups for one in s.instrument.inner}
     for one in inner.values():
-        off = partial(_zero, data, one, _slopes(data, one.name))
+        off = partial(_zero, one, _slopes(data, one.name))
         yield from mistakes_of_scopes([*data.scopes, *data.parts], off)
 
 
@@ -312,11 +295,9 @@ def _slopes(data: Suspect, name: str) -> Array:
     return slopes
 
 
-def _zero(
-    data: Suspect, inner: InnerReading, every: Array, scope: Scope
-) -> MistakeTrial | None:
+def _zero(inner: InnerReading, every: Array, scope: Scope) -> MistakeTrial | None:
     """An inner reading off by an amount, by slopes (N,) over it."""
-    slopes = np.where(scope.values(data.session), every, 0.0)
+    slopes = np.where(scope.values, every, 0.0)
     if not slopes.any():
         return None
     kind, cause = "offset", f"{inner.zero} is wrong"
@@ -329,6 +310,4 @@ def _zero(
         size = amount(abs(amounts[0]), sd[0], unit, with_sd=True)
         return f"every {inner.name}{scope.within} is {size} too {way}: {cause}"
 
-    return _shifted_values(
-        data, kind, scope, text, slopes[:, None], f"zero {inner.name}"
-    )
+    return _shifted_values(scope, kind, text, slopes[:, None], f"zero {inner.name}")

@@ -52,64 +52,61 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     for each in (True, False):
         scopes = [data.file] if each and len(data.runs) > 1 else data.scopes
         for text in FIXED:
-            yield from mistakes_of_scopes(scopes, partial(_fixed, data, text, each))
+            yield from mistakes_of_scopes(scopes, partial(_fixed, text, each))
         for text in LAGS:
-            yield from mistakes_of_scopes(scopes, partial(_lagging, data, text, each))
+            yield from mistakes_of_scopes(scopes, partial(_lagging, text, each))
 
 
-def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
+def _groups(scope: Scope, *, each: bool) -> list[Index]:
     """Values of each channel in the order in which they were read, by run or all."""
-    session = data.session
-    parts = data.runs_in(scope) if each or scope.level == "runs" else [scope]
+    channel = scope.data.channel
+    parts = scope.runs if each or scope.level == "runs" else [scope]
     groups = []
     for part in parts:
-        inside = part.values(session) & data.shown
+        inside = part.shown
         groups += [
-            np.flatnonzero(inside & (data.channel == c))
-            for c in set(data.channel[inside])
+            np.flatnonzero(inside & (channel == c)) for c in set(channel[inside])
         ]
     return groups if all(3 <= len(group) <= 400 for group in groups) else []
 
 
-def _where(data: Suspect, scope: Scope, *, each: bool) -> str:
+def _where(scope: Scope, *, each: bool) -> str:
     if scope.name:
         return scope.of
-    return " of each run" if each and len(data.runs) > 1 else ""
+    return " of each run" if each and len(scope.data.runs) > 1 else ""
 
 
 def _drop_carried(
-    data: Suspect, groups: list[Index], matrix: Callable[[int], Array]
+    scope: Scope, groups: list[Index], matrix: Callable[[int], Array]
 ) -> Array:
     """Values (N,) without what they hold of others."""
-    y = data.session.y.copy()
+    y = scope.session.y.copy()
     for group in groups:
         y[group] = np.linalg.solve(matrix(len(group)), y[group])
     return y
 
 
-def _fixed(data: Suspect, text: str, each: bool, scope: Scope) -> MistakeTrial | None:
-    groups = _groups(data, scope, each=each)
+def _fixed(text: str, each: bool, scope: Scope) -> MistakeTrial | None:
+    groups = _groups(scope, each=each)
     matrices = [FIXED[text](len(group)) for group in groups]
     if not groups or any(np.linalg.cond(q) > 1e4 for q in matrices):
         return None
-    y = _drop_carried(data, groups, FIXED[text])
+    y = _drop_carried(scope, groups, FIXED[text])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
-    sentence = f"the readings{_where(data, scope, each=each)} are {text}"
-    return value_trial(data.session, "carried", scope, sentence, y, log_scale=log_scale)
+    sentence = f"the readings{_where(scope, each=each)} are {text}"
+    return value_trial(scope, "carried", sentence, y, log_scale=log_scale)
 
 
-def _lagging(
-    data: Suspect, shown_part: str, each: bool, scope: Scope
-) -> MistakeTrial | None:
-    session = data.session
-    where = _where(data, scope, each=each)
-    groups = _groups(data, scope, each=each)
+def _lagging(shown_part: str, each: bool, scope: Scope) -> MistakeTrial | None:
+    session = scope.session
+    where = _where(scope, each=each)
+    groups = _groups(scope, each=each)
     if not groups:
         return None
     count = sum(len(group) - 1 for group in groups)
 
     def without(share: float) -> Array:
-        return _drop_carried(data, groups, lambda n: LAGS[shown_part](n, share))
+        return _drop_carried(scope, groups, lambda n: LAGS[shown_part](n, share))
 
     def undo(amounts: Array) -> list[SessionReadings]:
         if not 0.0 <= amounts[0] <= MAX_SHARE:
@@ -130,7 +127,6 @@ def _lagging(
         kind="carried",
         scope=scope,
         text=text,
-        session=session,
         change=undo,
         amounts=np.zeros(1),
         steps=np.array([SHARE_STEP]),

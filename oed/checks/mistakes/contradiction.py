@@ -29,17 +29,14 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
         scopes = [s for s in data.scopes if s.level == level]
         for one, other in itertools.permutations(scopes, 2):
             if _equal(data, one.readings, other.readings):
-                yield _copied(data, one, other)
+                yield _copied(one, other)
     for scope in data.scopes:
         if scope.level in ("run", "set-up"):
             sentence = (
                 f"the readings{scope.of} contradict all others, and no usual mistake"
                 " explains how"
             )
-            missing = scope.values(data.session)
-            yield value_trial(
-                data.session, "contradiction", scope, sentence, missing=missing
-            )
+            yield value_trial(scope, "contradiction", sentence, missing=scope.values)
 
 
 # -- copies ----------------------------------------------------------------------------
@@ -54,13 +51,13 @@ def _equal(data: Suspect, one: Index, other: Index) -> bool:
     return bool(recorded and np.array_equal(y[first], y[second]) and np.ptp(y[first]))
 
 
-def _copied(data: Suspect, one: Scope, other: Scope) -> MistakeTrial:
+def _copied(one: Scope, other: Scope) -> MistakeTrial:
     """The session without readings of a scope that are given already by another."""
-    missing = one.values(data.session)
-    log_missing = log_density_of_known(data, missing, missing)
+    missing = one.values
+    log_missing = log_density_of_known(one.data, missing, missing)
     sentence = f"the readings{one.of} are those{other.of}, copied"
     return value_trial(
-        data.session, "copied", one, sentence, missing=missing, log_missing=log_missing
+        one, "copied", sentence, missing=missing, log_missing=log_missing
     )
 
 
@@ -88,9 +85,7 @@ def _divided(data: Suspect, cut: int, count: int) -> MistakeTrial:
         " alone but not together: another machine, or something moved between them"
     )
     parts = session.reading_of_value >= cut
-    return value_trial(
-        session, "change", data.file, sentence, family="change", parts=parts
-    )
+    return value_trial(data.file, "change", sentence, family="change", parts=parts)
 
 
 def _run_in_brackets(data: Suspect, readings: Index) -> str:

@@ -51,7 +51,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
             for signs in itertools.product((1.0, -1.0), repeat=len(names)):
                 if order == tuple(names) and sum(signs) > len(names) - 4.0:
                     continue  # the sign of one alone: see `values`
-                on = partial(_exchanged, data, names, order, signs)
+                on = partial(_exchanged, names, order, signs)
                 yield from mistakes_of_scopes(data.scopes, on)
     yield from _read(data)
     yield from _driven(data)
@@ -66,23 +66,18 @@ def _groups(names: list[str]) -> list[list[str]]:
 
 
 def _exchanged(
-    data: Suspect,
-    names: list[str],
-    order: tuple[str, ...],
-    signs: tuple[float, ...],
-    scope: Scope,
+    names: list[str], order: tuple[str, ...], signs: tuple[float, ...], scope: Scope
 ) -> MistakeTrial | None:
     """The session with each channel of `names` taken from that of `order`."""
-    session = data.session
+    session = scope.session
     sources = [names.index(name) for name in order]
-    turned = permuted(sources, signs)
-    y = _mapped(data, names, scope.values(session) & data.shown, turned)
+    y = _mapped(scope, names, scope.shown, permuted(sources, signs))
     if y is None or np.array_equal(y, session.y):
         return None
     column = {name: session.column(name).name for name in names}
-    moved = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
     if min(signs) > 0.0:
-        exchanged = [column[a] for a, _ in moved]
+        moved = zip(names, order, strict=True)
+        exchanged = [column[a] for a, b in moved if a != b]
         text = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
         sentence = f"the columns {text} are exchanged{scope.within}"
     else:
@@ -91,19 +86,19 @@ def _exchanged(
             f"{column[a]} is {'-' if s < 0 else ''}{column[b]}" for a, b, s in triples
         ]
         sentence = f"the axes stand otherwise{scope.within}: {', '.join(axes)}"
-    return value_trial(session, "columns", scope, sentence, y)
+    return value_trial(scope, "columns", sentence, y)
 
 
 def _mapped(
-    data: Suspect, names: Sequence[str], inside: Mask, change: Change
+    scope: Scope, names: Sequence[str], inside: Mask, change: Change
 ) -> Array | None:
     """Values (N,) with those of some channels (n, k) changed together; None where not
     each of them has as many.
     """
-    masks = [inside & (data.channel == name) for name in names]
+    masks = [inside & (scope.data.channel == name) for name in names]
     if len({int(mask.sum()) for mask in masks}) > 1 or not masks[0].any():
         return None
-    y = data.session.y.copy()
+    y = scope.session.y.copy()
     changed = change(np.column_stack([y[mask] for mask in masks]))
     for mask, values in zip(masks, changed.T, strict=True):
         y[mask] = values
@@ -192,20 +187,20 @@ def _read(data: Suspect) -> Iterator[MistakeTrial]:
         if orientation is None or orientation.axis_only or len(orientation.names) != 3:
             continue
         for mistake in _mistakes(orientation):
-            on = partial(_read_otherwise, data, orientation, mistake)
+            on = partial(_read_otherwise, orientation, mistake)
             yield from mistakes_of_scopes(data.scopes, on)
 
 
 def _read_otherwise(
-    data: Suspect, orientation: Orientation, mistake: FrameMistake, scope: Scope
+    orientation: Orientation, mistake: FrameMistake, scope: Scope
 ) -> MistakeTrial | None:
     names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
-    inside = scope.values(data.session)
-    y = _mapped(data, names, inside, partial(_unframed, orientation, mistake))
+    change = partial(_unframed, orientation, mistake)
+    y = _mapped(scope, names, scope.values, change)
     if y is None:
         return None
     sentence = f"the poses that were read{scope.within} {mistake.text}"
-    return value_trial(data.session, "frame", scope, sentence, y)
+    return value_trial(scope, "frame", sentence, y)
 
 
 # -- poses that are commanded ----------------------------------------------------------

@@ -25,16 +25,16 @@ MIN_DIVISIONS = 10.0  #: divisions of a dial, at least
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings at the ends of a range, and revolutions."""
-    yield from mistakes_of_values(data, partial(_clipped, data))
+    yield from mistakes_of_values(data, _clipped)
     for si, turns in REVOLUTIONS.items():
         for turn in turns:
-            yield from mistakes_of_values(data, partial(_revolved, data, si, turn))
+            yield from mistakes_of_values(data, partial(_revolved, si, turn))
 
 
-def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _clipped(scope: Scope) -> MistakeTrial | None:
     """Values at the largest or smallest one of a channel, which others equal."""
-    session = data.session
-    if len(set(data.channel[values])) > 1 or scope.level == "rows":
+    session, values = scope.session, scope.values
+    if len(scope.channels) > 1 or scope.level == "rows":
         return None
     y = session.y
     ends = []
@@ -43,28 +43,26 @@ def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
         at_end = values & (y == end)
         if at_end.sum() >= 3:
             missing |= at_end
-            ends.append(session.written(str(data.channel[values][0]), float(end)))
+            ends.append(session.written(scope.channels[0], float(end)))
     if not ends or (missing == values).all():
         return None
     sentence = (
-        f"{data.names(values)}{scope.within} stops at {' and '.join(ends)}, the ends of"
+        f"{scope.columns_within} stops at {' and '.join(ends)}, the ends of"
         " the instrument's range: readings beyond are clipped"
     )
-    log_missing = log_density_of_known(data, missing, values)
+    log_missing = log_density_of_known(scope.data, missing, values)
     log_missing -= float(missing.sum() * np.log(2.0))
     return value_trial(
-        session, "limits", scope, sentence, missing=missing, log_missing=log_missing
+        scope, "limits", sentence, missing=missing, log_missing=log_missing
     )
 
 
 # -- revolutions -----------------------------------------------------------------------
-def _revolved(
-    data: Suspect, si: str, turn: float, scope: Scope, values: Mask
-) -> MistakeTrial | None:
+def _revolved(si: str, turn: float, scope: Scope) -> MistakeTrial | None:
     """Values with the whole revolutions that the others of the session expect."""
-    session = data.session
+    data, session, values = scope.data, scope.session, scope.values
     base = data.bases(values).get("the nominal machine")
-    if set(data.unit[values]) != {si} or scope.level == "rows" or base is None:
+    if not scope.is_of(si) or scope.level == "rows" or base is None:
         return None
     away = session.y - base
     is_in_one = np.ptp(away[values]) <= turn or np.abs(session.y[values]).max() <= turn
@@ -79,10 +77,10 @@ def _revolved(
     y = session.y + np.where(values, turn * counts, 0.0)
     shown = f"{turn * 1e3:g} mm" if si == "m" else f"{np.rad2deg(turn):g} deg"
     sentence = (
-        f"whole revolutions of {data.names(values)}{scope.within} are not counted: the"
+        f"whole revolutions of {scope.columns_within} are not counted: the"
         f" deviations begin again after {shown}"
     )
-    return value_trial(session, "limits", scope, sentence, y)
+    return value_trial(scope, "limits", sentence, y)
 
 
 def _counts(data: Suspect, values: Mask, away: Array, turn: float) -> Array:

@@ -92,7 +92,6 @@ def displaced_trials(
             kind=kind,
             scope=scope,
             text=partial(text, scope),
-            session=data.session,
             change=undo,
             amounts=amounts,
             steps=steps,

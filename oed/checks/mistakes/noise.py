@@ -55,7 +55,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
         error = np.abs(slope) / np.sqrt(12.0)
         if (error > MIN_ROUNDING_ERROR * data.sigma).any():
             text = f"{name}{{}} is rounded to {step:g}: finer numbers were driven"
-            on = partial(_rounded, data, text, error)
+            on = partial(_rounded, text, error)
             yield from mistakes_of_scopes(data.scopes, on)
 
 
@@ -63,7 +63,7 @@ def noise_trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Noise that is stated in another unit."""
     for si, factors in OTHER_NOISE.items():
         for factor in factors:
-            yield from mistakes_of_values(data, partial(_other_noise, data, si, factor))
+            yield from mistakes_of_values(data, partial(_other_noise, si, factor))
 
 
 def _decimals(values: Array) -> int | None:
@@ -76,40 +76,32 @@ def _decimals(values: Array) -> int | None:
     return None
 
 
-def _rounded(data: Suspect, text: str, error: Array, scope: Scope) -> MistakeTrial:
-    inside = scope.values(data.session)
-    factor = np.where(inside, np.hypot(1.0, error / data.sigma), 1.0)
+def _rounded(text: str, error: Array, scope: Scope) -> MistakeTrial:
+    more = np.hypot(1.0, error / scope.data.sigma)
+    factor = np.where(scope.values, more, 1.0)
     sentence = text.format(scope.within)
     return value_trial(
-        data.session,
-        "rounded",
-        scope,
-        sentence,
-        noise=factor,
-        log_prior=ROUNDING_LOG_PRIOR,
+        scope, "rounded", sentence, noise=factor, log_prior=ROUNDING_LOG_PRIOR
     )
 
 
 # -- noise -----------------------------------------------------------------------------
-def _other_noise(
-    data: Suspect, si: str, factor: float, scope: Scope, values: Mask
-) -> MistakeTrial | None:
+def _other_noise(si: str, factor: float, scope: Scope) -> MistakeTrial | None:
     """All readings of a unit with another noise than stated."""
-    session = data.session
+    data, session, values = scope.data, scope.session, scope.values
     of_unit = data.shown & (data.unit == si)
     if scope.level != "file" or not np.array_equal(values, of_unit):
         return None
     if factor > 1.0 and _depends_on_pose(data, values, factor):
         return None
-    channel = str(data.channel[values][0])
-    stated = float(np.median(data.sigma[values]))
+    stated = session.fine(scope.channels[0], float(np.median(data.sigma[values])))
     sentence = (
-        f"the noise of {data.names(values)} is stated in another unit: {factor:g} times"
-        f" the {session.fine(channel, stated)} that are stated explain the readings"
+        f"the noise of {scope.columns} is stated in another unit: {factor:g} times"
+        f" the {stated} that are stated explain the readings"
     )
     factors = np.where(values, factor, 1.0)
     return value_trial(
-        session, "noise", scope, sentence, noise=factors, log_prior=UNIT_LOG_PRIOR
+        scope, "noise", sentence, noise=factors, log_prior=UNIT_LOG_PRIOR
     )
 
 

@@ -31,24 +31,24 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     for each in (True, False):
         scopes = [data.file] if each else data.scopes
         for text, turn in {**BACKWARD, **_column_orders(data)}.items():
-            on = partial(_turned_round, data, text, turn, each)
+            on = partial(_turned_round, text, turn, each)
             yield from mistakes_of_scopes(scopes, on)
         for shift in SHIFTS:
             parts = data.parts if not each and abs(shift) == 1 else []
-            on = partial(_late, data, shift, each)
+            on = partial(_late, shift, each)
             yield from mistakes_of_scopes([*scopes, *parts], on)
         for scope in scopes:
             if scope.level != "set-up":
-                yield from filter(None, _turned(data, scope, each))
+                yield from filter(None, _turned(scope, each))
     yield from filter(None, itertools.chain(_interleaved(data), _relabelled(data)))
 
 
-def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
+def _groups(scope: Scope, *, each: bool) -> list[Index]:
     """Readings of a scope that are reordered together: its runs, or all of several."""
-    if len(data.runs) == 1 and scope.level == "file" and not each:
+    if len(scope.data.runs) == 1 and scope.level == "file" and not each:
         return []
     if each or scope.level == "runs":
-        return [run.readings for run in data.runs_in(scope)]
+        return [run.readings for run in scope.runs]
     return [scope.readings]
 
 
@@ -97,22 +97,21 @@ def _turn_lines(key: Array, first: int, rows: Index) -> Index:
 
 
 def _turned_round(
-    data: Suspect, text: str, turn: Turn, each: bool, scope: Scope
+    text: str, turn: Turn, each: bool, scope: Scope
 ) -> MistakeTrial | None:
-    order = _reordered(data, _groups(data, scope, each=each), turn)
-    sentence = f"{_subject(scope, each=each)} are in {text}"
-    return _reordering(data, scope, sentence, order)
+    order = _reordered(scope.data, _groups(scope, each=each), turn)
+    return _reordering(scope, f"{_subject(scope, each=each)} are in {text}", order)
 
 
-def _late(data: Suspect, shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
+def _late(shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
-    groups = _groups(data, scope, each=each)
+    groups = _groups(scope, each=each)
     if min((len(rows) for rows in groups), default=0) <= 2 * abs(shift):
         return None
-    order = _reordered(data, groups, partial(np.roll, shift=-shift))
+    order = _reordered(scope.data, groups, partial(np.roll, shift=-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
     sentence = _stand(scope, shift, each=each)
-    return _reordering(data, scope, sentence, order, np.concatenate(lost))
+    return _reordering(scope, sentence, order, np.concatenate(lost))
 
 
 def _stand(scope: Scope, shift: int, *, each: bool) -> str:
@@ -124,18 +123,18 @@ def _stand(scope: Scope, shift: int, *, each: bool) -> str:
     return f"{subject} stand {'in each run ' if each else where}{count} too {way}"
 
 
-def _turned(data: Suspect, scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
+def _turned(scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
     """Readings that stand some rows too late, the last ones first."""
-    groups = _groups(data, scope, each=each)
+    groups = _groups(scope, each=each)
     sizes = [len(rows) for rows in groups]
     if not sizes or max(sizes) > 60:
         return
     for shift in range(1, min(sizes)):
-        order = _reordered(data, groups, partial(np.roll, shift=-shift))
+        order = _reordered(scope.data, groups, partial(np.roll, shift=-shift))
         least = min(shift, shift - max(sizes), key=abs)
         sentence = _stand(scope, least, each=each)
         pushed_out = f"{sentence}, with those pushed out at the other end"
-        yield _reordering(data, scope, pushed_out, order)
+        yield _reordering(scope, pushed_out, order)
 
 
 def _interleaved(data: Suspect) -> Iterator[MistakeTrial | None]:
@@ -143,7 +142,7 @@ def _interleaved(data: Suspect) -> Iterator[MistakeTrial | None]:
     pairs = [several_runs(two) for two in itertools.pairwise(data.runs)]
     blocks = {scope.readings.tobytes(): scope for scope in [*pairs, *data.scopes]}
     for scope in blocks.values():
-        groups = [run.readings for run in data.runs_in(scope)]
+        groups = [run.readings for run in scope.runs]
         count = len(groups)
         if count < 2 or len({len(rows) for rows in groups}) > 1:
             continue
@@ -158,7 +157,7 @@ def _interleaved(data: Suspect) -> Iterator[MistakeTrial | None]:
                 f"the readings{scope.of} are interleaved: taken {taken} of {count} runs,"
                 f" they stand {stand}"
             )
-            yield _reordering(data, scope, sentence, order)
+            yield _reordering(scope, sentence, order)
 
 
 def _relabelled(data: Suspect) -> Iterator[MistakeTrial | None]:
@@ -176,11 +175,11 @@ def _relabelled(data: Suspect) -> Iterator[MistakeTrial | None]:
         if count <= 5:
             others = list(itertools.permutations(range(count)))
         for sources in dict.fromkeys([*pairs, *others]):
-            yield _relabelled_runs(data, runs, sources)
+            yield _relabelled_runs(runs, sources)
 
 
 def _relabelled_runs(
-    data: Suspect, parts: Sequence[Scope], sources: Sequence[int]
+    parts: Sequence[Scope], sources: Sequence[int]
 ) -> MistakeTrial | None:
     """Each run, or set-up, with the readings that stand under another one."""
     count = len(parts)
@@ -188,7 +187,7 @@ def _relabelled_runs(
     moved = [k for k in range(count) if sources[k] != k]
     if not moved:
         return None
-    order = _every(data)
+    order = _every(parts[0].data)
     for part, source in zip(parts, sources, strict=True):
         order[part.readings] = parts[source].readings
     names = [part.name.removeprefix(f"{level} ") for part in parts]
@@ -204,7 +203,7 @@ def _relabelled_runs(
         sentence = f"the readings of each {level} stand under the {way} {level}"
     runs = several_runs([parts[k] for k in moved])
     scope = runs if level == "run" else parts[moved[0]]
-    return _reordering(data, scope, sentence, order)
+    return _reordering(scope, sentence, order)
 
 
 def _every(data: Suspect) -> Index:
@@ -220,10 +219,10 @@ def _reordered(data: Suspect, groups: Sequence[Index], turn: Turn) -> Index:
 
 
 def _reordering(
-    data: Suspect, scope: Scope, sentence: str, order: Index, lost: Index | None = None
+    scope: Scope, sentence: str, order: Index, lost: Index | None = None
 ) -> MistakeTrial | None:
     """The session with readings in another order; None where channels would meet."""
-    session = data.session
+    data, session = scope.data, scope.session
     taken = members(session, order)
     same = np.array_equal(data.channel[taken], data.channel)
     if not same or not data.shown.all():
@@ -234,4 +233,4 @@ def _reordering(
     if not ((y != session.y) & ~missing).any():
         return None
     lacks = missing if dropped else None
-    return value_trial(session, "order", scope, sentence, y, missing=lacks)
+    return value_trial(scope, "order", sentence, y, missing=lacks)

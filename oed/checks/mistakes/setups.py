@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base import Index
 from oed.checks.mistakes.moved import Moved, moved_trials, readings_by_run
-from oed.checks.mistakes.suspect import Scope, Suspect
+from oed.checks.mistakes.suspect import Suspect
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement import Measurement, Series
 
@@ -31,7 +31,8 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     for name, other in itertools.product(used, measurement.setups):
         if name != other and _alike(measurement, name, other):
             moved = poses_of_other_setup(measurement, {name: other})
-            scopes = [scope for scope in data.scopes if _is_of(data, scope, name)]
+            is_of = data.session.mask(name)
+            scopes = [scope for scope in data.scopes if is_of[scope.values].all()]
             sentence = f"the readings{{of}} are of set-up {other}"
             yield from moved_trials(data, "setups", sentence, moved, scopes=scopes)
     for name, other in itertools.combinations(used, 2):
@@ -48,12 +49,6 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
                 f"the readings{{of}} are differences from the {name} pose of each run"
             )
             yield from moved_trials(data, "reference", sentence, moved)
-
-
-def _is_of(data: Suspect, scope: Scope, setup: str) -> bool:
-    """Whether a scope is a set-up, or one of its runs; the file where it is alone."""
-    values = scope.values(data.session)
-    return bool((data.session.values["setup"][values] == setup).all())
 
 
 def _alike(measurement: Measurement, name: str, other: str) -> bool:

@@ -5,7 +5,6 @@ The density of sorted values is that of n! orders. Where nothing predicts them, 
 values say nothing but their distribution.
 """
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -33,18 +32,18 @@ def _scope_trials(
     sizes = [len(g) for g in groups]
     if min(sizes) < 5 or max(sizes) > 400 or not data.shown.all():
         return
-    channels = list(dict.fromkeys(data.channel[scope.values(data.session)]))
+    channels = list(scope.channels)
     tables = [_table(data, group, channels) for group in groups]
     complete = [table for table in tables if table is not None]
     if len(complete) < len(tables):
         return
     if len(channels) == 1:
-        yield from _ordered(data, scope, complete, f"the {subject}", is_alone=True)
+        yield from _ordered(scope, complete, f"the {subject}", is_alone=True)
         return
     for k, channel in enumerate(channels):
-        whose = f"the {subject} of {data.session.column(str(channel)).name}"
-        yield from _ordered(data, scope, [t[:, k : k + 1] for t in complete], whose)
-    yield from _ordered(data, scope, complete, f"the rows of {subject}")
+        whose = f"the {subject} of {data.session.column(channel).name}"
+        yield from _ordered(scope, [t[:, k : k + 1] for t in complete], whose)
+    yield from _ordered(scope, complete, f"the rows of {subject}")
 
 
 def _table(data: Suspect, group: Index, channels: list[str]) -> Index | None:
@@ -58,16 +57,11 @@ def _table(data: Suspect, group: Index, channels: list[str]) -> Index | None:
 
 
 def _ordered(
-    data: Suspect,
-    scope: Scope,
-    tables: list[Index],
-    subject: str,
-    *,
-    is_alone: bool = False,
+    scope: Scope, tables: list[Index], subject: str, *, is_alone: bool = False
 ) -> Iterator[MistakeTrial]:
     """Rows of values (n, c), alone in their readings or not, put as expected."""
-    session = data.session
-    y = data.session.y.copy()
+    data, session = scope.data, scope.session
+    y = session.y.copy()
     for _ in range(6):
         predicted = _predicted(data, y, np.concatenate(tables).ravel())
         before = y.copy()
@@ -82,12 +76,11 @@ def _ordered(
     text = f"{subject} are {(sorted_by or [UNKNOWN_ORDER])[0]}"
     if not np.array_equal(y, session.y):
         kind = "sorting" if sorted_by else "disorder"
-        trial = value_trial(session, kind, scope, text, y)
         orders = sum(scipy.special.gammaln(1.0 + len(table)) for table in tables)
         log_prior = 0.0 if sorted_by else -float(orders)
-        yield dataclasses.replace(trial, log_prior=log_prior)
+        yield value_trial(scope, kind, text, y, log_prior=log_prior)
     if sorted_by and is_alone:
-        yield _distribution_alone(data, scope, tables, text)
+        yield _distribution_alone(scope, tables, text)
 
 
 def _matching(expected: Array, values: Array) -> Index:
@@ -131,9 +124,10 @@ def _predicted(data: Suspect, y: Array, places: Index) -> Array:
 
 
 def _distribution_alone(
-    data: Suspect, scope: Scope, tables: list[Index], sentence: str
+    scope: Scope, tables: list[Index], sentence: str
 ) -> MistakeTrial:
     """Sorted values of which nothing but the distribution is used: a normal one."""
+    data = scope.data
     missing = np.isin(np.arange(len(data.session)), np.concatenate(tables))
     log_density = 0.0
     for table in tables:
@@ -143,10 +137,5 @@ def _distribution_alone(
         log_density += float(scipy.special.gammaln(1.0 + count))
         log_density -= count * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)
     return value_trial(
-        data.session,
-        "sorting",
-        scope,
-        sentence,
-        missing=missing,
-        log_missing=log_density,
+        scope, "sorting", sentence, missing=missing, log_missing=log_density
     )

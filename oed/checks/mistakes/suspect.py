@@ -13,21 +13,26 @@ from oed.checks.session import SessionReadings
 from oed.dataset import ReadingsColumn
 from oed.measurement import Series
 
-# Which part of a session a mistake concerns: the file, a set-up, a run, or rows of one.
-
 MIN_PART = 3  #: readings that a part of a run, and what remains of it, have at least
 MAX_PARTS = 200  #: parts of a session that are looked at first
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Scope:
-    """Readings of a session."""
+    """Values of a session that one mistake may concern."""
 
+    data: "Suspect"  #: the session
     #: `file`, `instrument` (of several set-ups), `set-up`, `runs` (some of several),
     #: `run` or `rows`
     level: str
     name: str  #: `run cup 1`; empty for the file
     readings: Index  #: their numbers, ascending
+    values: Mask  #: (N,) values of these: all, those of a unit, or those of a channel
+
+    @property
+    def session(self) -> SessionReadings:
+        """The session as given."""
+        return self.data.session
 
     @property
     def is_part(self) -> bool:
@@ -44,96 +49,55 @@ class Scope:
         """` in run cup 1`."""
         return f" in {self.name}" if self.name else ""
 
-    def values(self, session: SessionReadings) -> Mask:
-        """Mask (N,) of the values of the readings."""
-        number = session.reading_of_value
-        inside = np.zeros(1 + int(number[-1]), dtype=bool)
-        inside[self.readings] = True
-        return np.asarray(inside[number])
+    @property
+    def runs(self) -> "list[Scope]":
+        """Each run that it has whole."""
+        runs = self.data.runs
+        return [run for run in runs if np.isin(run.readings, self.readings).all()]
 
+    @property
+    def shown(self) -> Mask:
+        """Values (N,) that an instrument showed of its readings."""
+        number = self.session.reading_of_value
+        return np.isin(number, self.readings) & self.data.shown
 
-def whole_scopes(session: SessionReadings) -> list[Scope]:
-    """The file, each of several set-ups, and each of several runs."""
-    number = session.reading_of_value
-    scopes = [Scope("file", "", np.unique(number))]
-    names = list(dict.fromkeys(s.setup for s in session.series))
-    if len(names) > 1:
-        for name in names:
-            readings = np.unique(number[session.mask(name)])
-            scopes.append(Scope("set-up", f"set-up {name}", readings))
-    runs = run_scopes(session)
-    return [*scopes, *runs] if len(runs) > max(len(names), 1) else scopes
+    @functools.cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of the values."""
+        return tuple(dict.fromkeys(map(str, self.data.channel[self.values])))
 
+    def is_of(self, unit: str) -> bool:
+        """Whether all values have an SI unit."""
+        return set(self.data.unit[self.values]) == {unit}
 
-def run_scopes(session: SessionReadings) -> list[Scope]:
-    """Each run, by its name; with its set-up where two runs have one name."""
-    frame, number = session.values, session.reading_of_value
-    groups = frame.groupby(["setup", "run"], sort=False).indices
-    labels = [run for _, run in groups]
-    scopes = []
-    for (setup, run), rows in groups.items():
-        of_setup = f" of {setup}" if labels.count(run) > 1 else ""
-        name = f"run {run}{of_setup}"
-        scopes.append(Scope("run", name, np.unique(number[rows])))
-    return scopes
+    @property
+    def columns(self) -> str:
+        """Columns of the values."""
+        return ", ".join(self.session.column(name).name for name in self.channels)
+
+    @property
+    def columns_within(self) -> str:
+        """`length_mm in run cup 1`."""
+        return f"{self.columns}{self.within}"
+
+    @property
+    def has_all(self) -> bool:
+        """Whether the values are all that an instrument showed."""
+        return self.level == "instrument" or np.array_equal(self.values, self.shown)
+
+    @property
+    def subject(self) -> str:
+        """`the readings of run cup 1`, or of some columns in it."""
+        of = self.of if self.has_all else f" of {self.columns_within}"
+        return f"the readings{of}"
 
 
 def several_runs(runs: Sequence[Scope]) -> Scope:
     """Some runs together."""
     names = [run.name.removeprefix("run ") for run in runs]
     readings = np.sort(np.concatenate([run.readings for run in runs]))
-    return Scope("runs", f"runs {', '.join(names[:-1])} and {names[-1]}", readings)
-
-
-def part_scopes(
-    session: SessionReadings, near: Sequence[Scope] | None = None
-) -> list[Scope]:
-    """First and last rows of set-ups and runs, cut at all, some, or `near`."""
-    whole = whole_scopes(session)
-    wholes = [scope for scope in whole if scope.level != "file"] or whole
-    step = _step(wholes)
-    listed = {tuple(scope.readings) for scope in whole}
-    scopes = []
-    for scope in wholes:
-        for readings in _cut(scope.readings, 1 if near is not None else step):
-            is_near = near is None or any(
-                _ends_near(readings, part.readings, step) for part in near
-            )
-            if is_near and tuple(readings) not in listed:
-                listed.add(tuple(readings))
-                scopes.append(rows_scope(session, readings))
-    return scopes
-
-
-def cuts_are_coarse(session: SessionReadings) -> bool:
-    """Whether sets-ups and runs are not cut at every row."""
-    whole = whole_scopes(session)
-    return _step([scope for scope in whole if scope.level != "file"] or whole) > 1
-
-
-def _step(wholes: Sequence[Scope]) -> int:
-    """Rows from cut to cut."""
-    places = sum(2 * len(scope.readings) for scope in wholes)
-    return max(1, -(-places // MAX_PARTS))
-
-
-def _cut(readings: Index, step: int) -> Iterator[Index]:
-    """The first and the last of some readings, at every so many."""
-    for k in range(MIN_PART, len(readings) - MIN_PART + 1, step):
-        yield readings[:k]
-        yield readings[k:]
-
-
-def _ends_near(one: Index, other: Index, step: int) -> bool:
-    """Whether two parts begin and end less than a step apart."""
-    ends = (abs(int(one[k]) - int(other[k])) for k in (0, -1))
-    return max(ends) < step
-
-
-def rows_scope(session: SessionReadings, readings: Index) -> Scope:
-    """Some rows, by their first and last one."""
-    rows = session.rows(readings)
-    return Scope("rows", f"rows {min(rows)} to {max(rows)}", readings)
+    name = f"runs {', '.join(names[:-1])} and {names[-1]}"
+    return runs[0].data.scope("runs", name, readings)
 
 
 #: sets of set-ups and channels that are tried, at most: all of a number of set-ups, or none
@@ -253,11 +217,29 @@ class Suspect:
         """Values (N,) that a display showed: not those that a pose implies."""
         return self.session.shown
 
+    # -- parts of the session ----------------------------------------------------------
+    def scope(self, level: str, name: str, readings: Index) -> Scope:
+        """Some readings, by number, with all of their values."""
+        values = np.isin(self.session.reading_of_value, readings)
+        return Scope(self, level, name, readings, values)
+
+    def rows_scope(self, readings: Index) -> Scope:
+        """Some rows, by their first and last one."""
+        rows = self.session.rows(readings)
+        return self.scope("rows", f"rows {min(rows)} to {max(rows)}", readings)
+
     @functools.cached_property
     def scopes(self) -> list[Scope]:
-        """The file, set-ups and runs."""
-        scopes = whole_scopes(self.session)
-        return [s for s in scopes if not (self.whole and s.is_part)]
+        """The file, each of several set-ups, and each of several runs."""
+        number = self.session.reading_of_value
+        scopes = [self.scope("file", "", np.unique(number))]
+        names = list(dict.fromkeys(s.setup for s in self.session.series))
+        if len(names) > 1:
+            for name in names:
+                readings = np.unique(number[self.session.mask(name)])
+                scopes.append(self.scope("set-up", f"set-up {name}", readings))
+        has_runs = len(self.runs) > max(len(names), 1) and not self.whole
+        return [*scopes, *self.runs] if has_runs else scopes
 
     @property
     def file(self) -> Scope:
@@ -265,23 +247,57 @@ class Suspect:
         return self.scopes[0]
 
     @functools.cached_property
-    def parts(self) -> list[Scope]:
-        """The first and the last rows of set-ups and runs."""
-        return [] if self.whole else part_scopes(self.session)
-
-    @functools.cached_property
     def runs(self) -> list[Scope]:
-        """Each run."""
-        return run_scopes(self.session)
-
-    def runs_in(self, scope: Scope) -> list[Scope]:
-        """Each run that a scope has whole."""
-        return [s for s in self.runs if np.isin(s.readings, scope.readings).all()]
+        """Each run, by its name; with its set-up where two runs have one name."""
+        groups = self.session.values.groupby(["setup", "run"], sort=False).indices
+        labels = [run for _, run in groups]
+        scopes = []
+        for (setup, run), rows in groups.items():
+            of_setup = f" of {setup}" if labels.count(run) > 1 else ""
+            readings = np.unique(self.session.reading_of_value[rows])
+            scopes.append(self.scope("run", f"run {run}{of_setup}", readings))
+        return scopes
 
     @functools.cached_property
-    def instruments(self) -> list[tuple[Scope, Mask]]:
-        """Values (N,) that one instrument may have read in several set-ups."""
-        return [] if self.whole else shared_instruments(self.session)
+    def cut_step(self) -> int:
+        """Rows from cut to cut of set-ups and runs in `parts`."""
+        places = sum(2 * len(scope.readings) for scope in self._cut_scopes)
+        return max(1, -(-places // MAX_PARTS))
+
+    @property
+    def _cut_scopes(self) -> list[Scope]:
+        return self.scopes[1:] or self.scopes
+
+    @functools.cached_property
+    def parts(self) -> list[Scope]:
+        """The first and the last rows of set-ups and runs, cut at all or some of them."""
+        return [] if self.whole else self._cut(self.cut_step)
+
+    def parts_near(self, others: Sequence[Scope]) -> list[Scope]:
+        """Those cut at any row that begin and end less than a step from some others."""
+        return self._cut(1, [part.readings[[0, -1]] for part in others])
+
+    def _cut(self, step: int, near: Sequence[Index] | None = None) -> list[Scope]:
+        listed = {tuple(scope.readings) for scope in self.scopes}
+        scopes = []
+        for whole in self._cut_scopes:
+            ends = range(MIN_PART, len(whole.readings) - MIN_PART + 1, step)
+            for readings in (
+                part for k in ends for part in np.split(whole.readings, [k])
+            ):
+                is_near = near is None or any(
+                    np.abs(readings[[0, -1]] - other).max() < self.cut_step
+                    for other in near
+                )
+                if is_near and tuple(readings) not in listed:
+                    listed.add(tuple(readings))
+                    scopes.append(self.rows_scope(readings))
+        return scopes
+
+    @functools.cached_property
+    def instruments(self) -> list[Scope]:
+        """Values that one instrument may have read in several set-ups."""
+        return [] if self.whole else shared_instruments(self)
 
     @functools.cached_property
     def targets(self) -> list[Mask]:
@@ -291,47 +307,33 @@ class Suspect:
         return [self.shown, *[self.shown & one for one in (*kinds, *channels)]]
 
     @functools.cached_property
-    def places(self) -> list[list[tuple[Scope, Mask]]]:
-        """Each target's scopes and its values (N,) there, where no other has the same."""
+    def targeted(self) -> list[list[Scope]]:
+        """Each target in the scopes and parts where no other has the same values."""
         scopes = [*self.scopes, *self.parts]
         return [
-            [
-                (s, values)
-                for s in scopes
-                if (values := self.values_in(s, k)) is not None
-            ]
+            [part for scope in scopes if (part := self.target_in(scope, k)) is not None]
             for k in range(len(self.targets))
         ]
 
-    def values_in(self, scope: Scope, target: int) -> Mask | None:
-        """Values (N,) of a target, by number, in a scope; None where another has the same."""
-        inside = scope.values(self.session)
+    def target_in(self, scope: Scope, target: int) -> Scope | None:
+        """A target, by number, in a scope; None where another has the same values."""
+        inside = np.isin(self.session.reading_of_value, scope.readings)
         targets = self.targets
         values = targets[target] & inside
         is_known = any(np.array_equal(values, t & inside) for t in targets[:target])
         if scope.level == "set-up":  # all that the file has of it
             is_known |= any(np.array_equal(values, other) for other in targets)
-        return values if values.any() and not is_known else None
-
-    def names(self, values: Mask) -> str:
-        """Columns of some values (N,)."""
-        channels = dict.fromkeys(self.channel[values])
-        return ", ".join(self.session.column(str(name)).name for name in channels)
-
-    def is_all(self, scope: Scope, values: Mask) -> bool:
-        """Whether some values (N,) are all that an instrument showed in a scope."""
-        shown = scope.values(self.session) & self.shown
-        return scope.level == "instrument" or np.array_equal(values, shown)
+        if is_known or not values.any():
+            return None
+        return dataclasses.replace(scope, values=values)
 
 
 # -- one instrument in several set-ups -------------------------------------------------
-def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
-    """Values (N,) that one instrument may have read in two set-ups or more."""
-    channel = session.values["channel"].to_numpy()
-    units = np.array([session.unit(name) for name in channel])
-    keys = [(key, name) for key in (channel, units) for name in dict.fromkeys(key)]
-    known = {((key == name) & session.shown).tobytes() for key, name in keys}
-    sets: list[tuple[Scope, Mask]] = []
+def shared_instruments(data: Suspect) -> list[Scope]:
+    """Values that one instrument may have read in two set-ups or more."""
+    session = data.session
+    known = {target.tobytes() for target in data.targets}
+    scopes: list[Scope] = []
     setups = list(dict.fromkeys(s.setup for s in session.series))
     for size in range(2, len(setups) + 1):
         some = []
@@ -340,11 +342,11 @@ def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
             mask = np.logical_or.reduce(masks)
             if mask.tobytes() not in known:
                 known.add(mask.tobytes())
-                some.append((_scope(session, uses, mask), mask))
-            if len(sets) + len(some) > MAX_SETS:
-                return sets
-        sets += some
-    return sets
+                some.append(_instrument_scope(data, uses, mask))
+            if len(scopes) + len(some) > MAX_SETS:
+                return scopes
+        scopes += some
+    return scopes
 
 
 def _uses(
@@ -365,10 +367,12 @@ def _uses(
             yield from itertools.product(*choices)
 
 
-def _scope(session: SessionReadings, uses: Sequence[Use], mask: Mask) -> Scope:
+def _instrument_scope(data: Suspect, uses: Sequence[Use], mask: Mask) -> Scope:
+    session = data.session
     places = []
     for setup, channels in uses:
         columns = ", ".join(session.column(c).name for c in channels)
         places.append(f"{columns} of {setup}")
     readings = np.unique(session.reading_of_value[mask])
-    return Scope("instrument", f"one instrument ({'; '.join(places)})", readings)
+    name = f"one instrument ({'; '.join(places)})"
+    return Scope(data, "instrument", name, readings, mask)

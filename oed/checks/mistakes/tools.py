@@ -56,7 +56,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
             amounts = np.full(len(axes), start)
             table = _table(data, partial(shift, data.file), amounts)
             if table is not None:
-                on = partial(_elsewhere, data, shift, text, axes, amounts, table)
+                on = partial(_elsewhere, shift, text, axes, amounts, table)
                 yield from mistakes_of_scopes(scopes, on)
 
 
@@ -65,7 +65,6 @@ Shift = Callable[[Scope, Array], list[SessionReadings]]
 
 
 def _elsewhere(
-    data: Suspect,
     shift: Shift,
     text: str,
     axes: Sequence[int],
@@ -74,8 +73,7 @@ def _elsewhere(
     scope: Scope,
 ) -> MistakeTrial | None:
     """A tool point elsewhere: near the stated one, or where it has the other sign."""
-    inside = scope.values(data.session)
-    columns = np.where(inside[:, None], table.by_amount, 0.0)
+    columns = np.where(scope.values[:, None], table.by_amount, 0.0)
     if not columns.any():
         return None
     of = scope.within if scope.is_part else scope.of.replace(" set-up ", " ")
@@ -84,7 +82,6 @@ def _elsewhere(
         kind="tool",
         scope=scope,
         text=partial(_words, what, axes),
-        session=data.session,
         change=partial(shift, scope),
         amounts=start,
         steps=np.full(len(axes), LENGTH_STEP),

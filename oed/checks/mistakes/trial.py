@@ -41,7 +41,6 @@ class MistakeTrial:
     kind: str  #: of mistake: the module that makes the trial
     scope: Scope  #: the part of the session that it concerns
     text: Words  #: the mistake in words
-    session: SessionReadings  #: as given
     #: the session without it; None where values, order and noise say so
     change: Undo | None = None
     #: (k,) where the search of its unknown amounts begins, SI
@@ -83,7 +82,9 @@ class MistakeTrial:
         """Sessions without the mistake: one, or several of machines apart."""
         if self.change is not None:
             return self.change(amounts)
-        session = self.session if self.y is None else self.session.with_y(self.y)
+        session = self.scope.session
+        if self.y is not None:
+            session = session.with_y(self.y)
         number = session.reading_of_value
         if self.noise is not None:
             sigma = self.noise * session.measurement.sigma(session.series)
@@ -99,10 +100,8 @@ class MistakeTrial:
         return [] if is_all else [session.without(dropped)]
 
 
-#: a mistake in the readings of a scope; None where it cannot be there
+#: a mistake in the values of a scope; None where it cannot be there
 OnScope = Callable[[Scope], "MistakeTrial | None"]
-#: the same of some values (N,) in it
-OnValues = Callable[[Scope, Mask], "MistakeTrial | None"]
 
 
 def mistakes_of_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
@@ -113,24 +112,19 @@ def mistakes_of_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[Mistake
             yield dataclasses.replace(trial, on=on)
 
 
-def mistakes_of_values(data: Suspect, make: OnValues) -> Iterator[MistakeTrial]:
+def mistakes_of_values(data: Suspect, make: OnScope) -> Iterator[MistakeTrial]:
     """One mistake of all values, of a unit and of a channel, in the file, set-ups, runs
     and rows, and in what one instrument may have read.
     """
-    for k, places in enumerate(data.places):
+    for k, scopes in enumerate(data.targeted):
 
         def on(scope: Scope, k: int = k) -> MistakeTrial | None:
-            values = data.values_in(scope, k)
-            return None if values is None else make(scope, values)
+            part = data.target_in(scope, k)
+            return None if part is None else make(part)
 
-        for scope, values in places:
-            trial = make(scope, values)
-            if trial is not None:
-                yield dataclasses.replace(trial, on=on)
-    for scope, values in data.instruments:
-        trial = make(scope, values)
-        if trial is not None:
-            yield trial
+        trials = filter(None, map(make, scopes))
+        yield from (dataclasses.replace(trial, on=on) for trial in trials)
+    yield from filter(None, map(make, data.instruments))
 
 
 def plain(sentence: str) -> Words:
@@ -146,16 +140,10 @@ def amount(value: float, sd: float, unit: str, *, with_sd: bool = False) -> str:
 
 
 def value_trial(
-    session: SessionReadings,
-    kind: str,
-    scope: Scope,
-    sentence: str,
-    y: Array | None = None,
-    **more: Any,
+    scope: Scope, kind: str, sentence: str, y: Array | None = None, **more: Any
 ) -> MistakeTrial:
     """A trial with other values y (N,) at the same poses, without some, or other noise."""
-    text = plain(sentence)
-    return MistakeTrial(kind=kind, scope=scope, text=text, session=session, y=y, **more)
+    return MistakeTrial(kind=kind, scope=scope, text=plain(sentence), y=y, **more)
 
 
 def log_density_of_known(data: Suspect, values: Mask, digits: Mask) -> float:

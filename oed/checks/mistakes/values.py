@@ -1,14 +1,20 @@
 """Values written otherwise: in another unit, as deviations, with a sign or a factor."""
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
 import numpy as np
 
 from oed import units
-from oed.base import Array, Mask
+from oed.base import Array
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, mistakes_of_values, value_trial
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    OnScope,
+    mistakes_of_values,
+    value_trial,
+)
 from oed.dataset import SEXAGESIMAL, WRONG_FACTORS
 
 #: units that a file's readings may be in, beside those of a column
@@ -30,120 +36,86 @@ ORIGINS = ("", "the nominal length", "the nominal machine")
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings in other units, deviations, reversed and lost signs, simple factors."""
+    makers: list[OnScope] = []
     for si in dict.fromkeys(data.unit[data.shown]):
-        for name, factor in _unit_factors(si).items():
-            yield from mistakes_of_values(
-                data, partial(_other_unit_trial, data, si, name, factor)
-            )
-    for text, meant in SEXAGESIMAL.items():
-        yield from mistakes_of_values(data, partial(_sexagesimal, data, text, meant))
+        makers += [
+            partial(_other_unit_trial, si, *u) for u in _unit_factors(si).items()
+        ]
+    makers += [partial(_sexagesimal, *notation) for notation in SEXAGESIMAL.items()]
     for origin in ORIGINS[1:]:
-        for fine in ({}, FINE_UNITS, DIVISIONS):
-            for sign in (1.0, -1.0):
-                make = partial(_deviation, data, origin, fine, sign)
-                yield from mistakes_of_values(data, make)
-        yield from mistakes_of_values(data, partial(_added_twice, data, origin))
-    yield from mistakes_of_values(data, partial(_lost, data))
+        for fine, sign in itertools.product(({}, FINE_UNITS, DIVISIONS), (1.0, -1.0)):
+            makers.append(partial(_deviation, origin, fine, sign))
+        makers.append(partial(_added_twice, origin))
+    makers.append(_lost)
     for origin in ORIGINS:
         reversed_sign = "the sign of {} is reversed"
-        yield from mistakes_of_values(
-            data,
-            partial(_deviations_changed, data, origin, "sign", reversed_sign, -1.0),
-        )
-        for text, factor in (
-            FACTORS | (THOUSAND_FACTORS if origin else POINT_LOST_FACTORS)
-        ).items():
+        makers.append(partial(_deviations_changed, origin, "sign", reversed_sign, -1.0))
+        factors = FACTORS | (THOUSAND_FACTORS if origin else POINT_LOST_FACTORS)
+        for text, factor in factors.items():
             why = ": the decimal point is lost" if text in POINT_LOST_FACTORS else ""
             sentence = f"{{}} are {text} what they should be{why}"
-            yield from mistakes_of_values(
-                data,
-                partial(
-                    _deviations_changed, data, origin, "scale", sentence, 1.0 / factor
-                ),
+            makers.append(
+                partial(_deviations_changed, origin, "scale", sentence, 1.0 / factor)
             )
+    for make in makers:
+        yield from mistakes_of_values(data, make)
 
 
-def _base(data: Suspect, values: Mask, origin: str) -> Array | None:
+def _base(scope: Scope, origin: str) -> Array | None:
     """Readings (N,) that a sign or a factor is about: zero for no origin."""
     if not origin:
-        return np.zeros_like(data.session.y)
-    return data.bases(values).get(origin)
+        return np.zeros_like(scope.session.y)
+    return scope.data.bases(scope.values).get(origin)
 
 
 def _changed(
-    data: Suspect,
-    kind: str,
     scope: Scope,
+    kind: str,
     sentence: str,
-    values: Mask,
-    start: Array,
+    start: Array | float,
     factor: Array | float,
     base: Array | float = 0.0,
 ) -> MistakeTrial:
     """Values y of which start + factor (y - base) is right, all (N,); others stay."""
-    y = data.session.y
-    about = values & np.isfinite(start + base)
+    y = scope.session.y
+    about = scope.values & np.isfinite(start + base)
     right = np.where(about, start + factor * (y - base), y)
     mistaken = np.where(about, base + (y - start) / factor, y)
     log_factor = np.log(np.abs(np.broadcast_to(factor, y.shape)))
     log_scale = float(log_factor[about].sum())
     return value_trial(
-        data.session,
-        kind,
-        scope,
-        sentence,
-        right,
-        log_scale=log_scale,
-        mistaken=mistaken,
+        scope, kind, sentence, right, log_scale=log_scale, mistaken=mistaken
     )
-
-
-def _where(data: Suspect, scope: Scope, values: Mask) -> str:
-    return f"{data.names(values)}{scope.within}"
-
-
-def _readings(data: Suspect, scope: Scope, values: Mask) -> str:
-    if data.is_all(scope, values):
-        return f"the readings{scope.of}"
-    return f"the readings of {_where(data, scope, values)}"
 
 
 # -- units and deviations --------------------------------------------------------------
 def _other_unit_trial(
-    data: Suspect, si: str, name: str, factor: float, scope: Scope, values: Mask
+    si: str, name: str, factor: float, scope: Scope
 ) -> MistakeTrial | None:
     """The readings of a kind, or of a column, in another unit of that kind."""
-    stated = data.session.column(str(data.channel[values][0]))
-    if set(data.unit[values]) != {si} or factor == stated.factor:
+    stated = scope.session.column(scope.channels[0])
+    if not scope.is_of(si) or factor == stated.factor:
         return None
-    of_kind = data.shown & (data.unit == si) & scope.values(data.session)
-    subject = f"{_where(data, scope, values)} is"
-    if data.is_all(scope, values):
+    subject = f"{scope.columns_within} is"
+    if scope.has_all:
         subject = f"the readings{scope.of} are"
-    elif np.array_equal(values, of_kind):
-        subject = f"the readings ({data.names(values)}){scope.of} are"
+    elif np.array_equal(scope.values, scope.shown & (scope.data.unit == si)):
+        subject = f"the readings ({scope.columns}){scope.of} are"
     sentence = f"{subject} in {name}, not in {stated.name.rpartition('_')[2]}"
-    zero = np.zeros(len(values))
-    ratio = factor / stated.factor
-    return _changed(data, "unit", scope, sentence, values, zero, ratio)
+    return _changed(scope, "unit", sentence, 0.0, factor / stated.factor)
 
 
 def _sexagesimal(
-    data: Suspect,
-    text: str,
-    meant: Callable[[Array], Array],
-    scope: Scope,
-    values: Mask,
+    text: str, meant: Callable[[Array], Array], scope: Scope
 ) -> MistakeTrial | None:
     """Angles whose decimals are minutes, or minutes and seconds, of them."""
-    y = data.session.y.copy()
+    y, values = scope.session.y.copy(), scope.values
     y[values] = meant(y[values])
-    if set(data.unit[values]) != {"rad"} or not np.isfinite(y).all():
+    if not scope.is_of("rad") or not np.isfinite(y).all():
         return None
-    subject = _readings(data, scope, values)
-    sentence = f"{subject} have {text} after their decimal point"
+    sentence = f"{scope.subject} have {text} after their decimal point"
     log_scale = float(values.sum() * np.log(meant(SMALL_ANGLE) / SMALL_ANGLE)[0])
-    return value_trial(data.session, "unit", scope, sentence, y, log_scale=log_scale)
+    return value_trial(scope, "unit", sentence, y, log_scale=log_scale)
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:
@@ -155,21 +127,16 @@ def _unit_factors(si: str) -> Mapping[str, float]:
 
 
 def _deviation(
-    data: Suspect,
-    origin: str,
-    fine: Mapping[str, tuple[str, float]],
-    sign: float,
-    scope: Scope,
-    values: Mask,
+    origin: str, fine: Mapping[str, tuple[str, float]], sign: float, scope: Scope
 ) -> MistakeTrial | None:
     """Values that are deviations from `origin`, in fine units, with a sign."""
-    session = data.session
-    base = _base(data, values, origin)
+    data, session = scope.data, scope.session
+    base = _base(scope, origin)
     if base is None:
         return None
     factor = np.ones(len(session))
     names = []
-    for channel in dict.fromkeys(data.channel[values & np.isfinite(base)]):
+    for channel in dict.fromkeys(data.channel[scope.values & np.isfinite(base)]):
         column = session.column(str(channel))
         name, of_unit = fine.get(column.unit, ("", column.factor))
         if of_unit != column.factor:
@@ -180,26 +147,22 @@ def _deviation(
     what = origin.replace("the nominal machine", "the readings of the nominal machine")
     unit = f" in {' and '.join(dict.fromkeys(names))}" if names else ""
     reversed_sign = " with the sign reversed" if sign < 0.0 else ""
-    subject = _readings(data, scope, values)
-    sentence = f"{subject} are deviations from {what}{unit}{reversed_sign}"
-    factor = sign * factor
-    return _changed(data, "deviation", scope, sentence, values, base, factor)
+    sentence = f"{scope.subject} are deviations from {what}{unit}{reversed_sign}"
+    return _changed(scope, "deviation", sentence, base, sign * factor)
 
 
-def _added_twice(
-    data: Suspect, origin: str, scope: Scope, values: Mask
-) -> MistakeTrial | None:
-    base = _base(data, values, origin)
-    if base is None or not data.is_all(scope, values):
+def _added_twice(origin: str, scope: Scope) -> MistakeTrial | None:
+    base = _base(scope, origin)
+    if base is None or not scope.has_all:
         return None
     sentence = f"the readings{scope.of} have {origin} added twice: they are no deviations any more"
-    return _changed(data, "deviation", scope, sentence, values, -base, 1.0)
+    return _changed(scope, "deviation", sentence, -base, 1.0)
 
 
 # -- signs and factors -----------------------------------------------------------------
-def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _lost(scope: Scope) -> MistakeTrial | None:
     """Readings of one sign where predictions, surely not 0, ask for both."""
-    y = data.session.y
+    data, y, values = scope.data, scope.session.y, scope.values
     sign = np.sign(data.predicted)
     if not (np.all(y[values] >= 0.0) or np.all(y[values] <= 0.0)):
         return None
@@ -207,29 +170,21 @@ def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     changed = np.where(values & is_known, sign * np.abs(y), y)
     if not ((changed != y).any() and (changed != -y)[values].any()):
         return None
-    of = _where(data, scope, values)
-    sentence = f"the sign of {of} is lost: all readings have one sign"
-    return value_trial(data.session, "sign", scope, sentence, changed)
+    sentence = f"the sign of {scope.columns_within} is lost: all readings have one sign"
+    return value_trial(scope, "sign", sentence, changed)
 
 
 def _deviations_changed(
-    data: Suspect,
-    origin: str,
-    kind: str,
-    sentence: str,
-    factor: float,
-    scope: Scope,
-    values: Mask,
+    origin: str, kind: str, sentence: str, factor: float, scope: Scope
 ) -> MistakeTrial | None:
     """Readings whose deviations from an origin have another sign or size."""
-    base = _base(data, values, origin)
+    base = _base(scope, origin)
     if base is None:
         return None
-    what = _readings(data, scope, values)
+    what = scope.subject
     if kind == "sign" and scope.level != "instrument":
-        is_all = data.is_all(scope, values) and len(set(data.channel[values])) > 1
-        what = f"all readings{scope.of}" if is_all else _where(data, scope, values)
+        is_all = scope.has_all and len(scope.channels) > 1
+        what = f"all readings{scope.of}" if is_all else scope.columns_within
     if origin:
         what = f"the deviations of {what} from {origin}"
-    text = sentence.format(what)
-    return _changed(data, kind, scope, text, values, base, factor, base)
+    return _changed(scope, kind, sentence.format(what), base, factor, base)

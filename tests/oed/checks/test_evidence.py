@@ -14,7 +14,6 @@ from oed.checks import screening
 from oed.checks.explain import candidates
 from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Suspect, trials
-from oed.checks.mistakes.suspect import cuts_are_coarse, part_scopes, whole_scopes
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise import Laws
@@ -130,17 +129,16 @@ def long_session() -> checks.SessionReadings:
 
 def test_long_sessions_are_cut_where_a_mistake_begins():
     """In the linear model: the likeliest coarse part leads to the row."""
-    session = long_session()
-    assert cuts_are_coarse(session)
-    assert len(part_scopes(session)) < 300
-    given = Suspect(session)
+    given = Suspect(long_session())
+    assert given.cut_step > 1
+    assert len(given.parts) < 300
     first, _ = candidates(given, screening.Screening(given), thorough=True)
     likeliest = max(first, key=lambda one: one.log_posterior).trial
     assert (likeliest.kind, likeliest.scope.name) == ("unit", "rows 55 to 81")
 
 
 def test_scopes_are_the_file_its_setups_and_runs(bar):
-    levels = [scope.level for scope in whole_scopes(bar)]
+    levels = [scope.level for scope in Suspect(bar).scopes]
     assert levels == ["file", "run", "run", "run"]
-    one = whole_scopes(bar.take(np.arange(12)))
-    assert [scope.level for scope in one] == ["file"]
+    one = Suspect(bar.take(np.arange(12)))
+    assert [scope.level for scope in one.scopes] == ["file"]

@@ -8,7 +8,6 @@ import pytest
 from blunder_spatial import prs_poses
 
 from oed.checks.mistakes import Suspect, amounts
-from oed.checks.mistakes.suspect import shared_instruments
 
 PAIRS = [
     f"length_mm of {one}; length_mm of {other}"
@@ -25,11 +24,11 @@ PAIRS = [
 def test_where_one_instrument_may_have_been_used(machine, names):
     """Not in all channels or set-ups of the file: that is a mistake of the file."""
     session = machines.session(machine, machines.readings(machine, 0))
-    scopes = shared_instruments(session)
+    scopes = Suspect(session).instruments
     wanted = [f"one instrument ({name})" for name in names]
-    assert [scope.name for scope, _ in scopes] == wanted
-    for scope, values in scopes:
-        readings = np.unique(session.reading_of_value[values])
+    assert [scope.name for scope in scopes] == wanted
+    for scope in scopes:
+        readings = np.unique(session.reading_of_value[scope.values])
         assert np.array_equal(readings, scope.readings)
 
 
