@@ -231,23 +231,27 @@ class AnswerFits:
     def _known_form(
         self, candidate: _Candidate, without_effects: Estimate
     ) -> _AnswerFit | None:
-        """Geometry and named effects."""
-        readings = self.readings
-        if not candidate.constants:
+        """Geometry and named effects; those of the decision are fitted."""
+        readings, known = self.readings, candidate.constants
+        if not known:
             count = len(without_effects.theta)
             return _AnswerFit(
                 readings.measurement, readings.series, without_effects, count
             )
-        fitted = self._with_effects(candidate, without_effects)
+        fitted = self.corrected
+        forms = () if fitted is None else fitted.forms
+        if {form.effect.name: dict(form.constants) for form in forms} != known:
+            by_name = {effect.name: effect for effect in self.effects}
+            fitted = readings.estimate(
+                [by_name[name].with_constants(known[name]) for name in known],
+                without_effects.theta,
+                estimate_noise=self.estimate_noise,
+                max_iterations=self.max_iterations,
+            )
         if fitted is None:
             return None
-        return _AnswerFit(
-            fitted.measurement,
-            fitted.series,
-            fitted.estimate,
-            fitted.parameters,
-            fitted.columns,
-        )
+        of = fitted.measurement, fitted.series, fitted.estimate, fitted.parameters
+        return _AnswerFit(*of, fitted.columns)
 
     def _with_others(self, candidate: _Candidate, fit: _AnswerFit) -> _AnswerFit | None:
         """The same with what acts beside; None where nothing can."""
@@ -274,27 +278,6 @@ class AnswerFits:
             else ExpectedColumns.side_by_side([fit.columns, columns])
         )
         return dataclasses.replace(fit, series=series, estimate=estimate, columns=every)
-
-    def _with_effects(
-        self, candidate: _Candidate, without_effects: Estimate
-    ) -> CorrectedEstimate | None:
-        """The fit with an answer's effects; that of the decision is known."""
-        corrected = self.corrected
-        if corrected is not None:
-            forms = {form.effect.name: dict(form.constants) for form in corrected.forms}
-            if forms == candidate.constants:
-                return corrected
-        by_name = {effect.name: effect for effect in self.effects}
-        acting = [
-            by_name[name].with_constants(constants)
-            for name, constants in candidate.constants.items()
-        ]
-        return self.readings.estimate(
-            acting,
-            without_effects.theta,
-            estimate_noise=self.estimate_noise,
-            max_iterations=self.max_iterations,
-        )
 
     def _columns_beside(self, candidate: _Candidate) -> ExpectedColumns | None:
         """Columns of what acts beside the geometry and the named effects."""

@@ -21,7 +21,7 @@ from oed.base import Array, Index, Mask
 from oed.effect_model import Column, Effect, State
 from oed.effects.effect_maps import SessionStates, effect_maps, session_state
 from oed.estimation import Discrepancy
-from oed.gap import ActingEffectForm, GapProblem, Signature
+from oed.gap import ActingEffectForm, GapProblem
 from oed.linear_algebra import right_singular
 from oed.mechanism import NO_TOOL
 
@@ -68,24 +68,11 @@ def unknown_effects() -> tuple[Effect, ...]:
                 name=f"unknown {carrier} {course}",
                 source="Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464",
                 about=f"an error of the {carrier} of no known form ({course})",
-                columns=_columns(columns, values, course == "direction"),
+                columns=functools.partial(columns, values, course == "direction"),
                 needs=NEEDS.get(course, ()),
             )
         )
     return tuple(effects)
-
-
-def _columns(
-    on_carrier: Callable[[State, Array, bool], Iterable[Column]],
-    series: Series,
-    reverses: bool,
-) -> Callable[[State], Iterable[Column]]:
-    """The columns of one carrier (it knows its own sense of motion) and one series."""
-
-    def columns(state: State) -> Iterable[Column]:
-        return on_carrier(state, series(state), reverses)
-
-    return columns
 
 
 def place_terms(state: State) -> Array:
@@ -118,8 +105,9 @@ def _smoothest(dimensions: int, count: int) -> Array:
     return np.array(ranked[1 : count + 1], dtype=float)
 
 
-def _tool_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _tool_columns(series: Series, reverses: bool, state: State) -> Iterable[Column]:
     """Displacements of the tool along the axes of the base."""
+    terms = series(state)
     sense = _zero_where_unknown(state.direction) if reverses else 1.0
     for axis, name in enumerate("xyz"):
         for k, term in enumerate(terms.T):
@@ -127,8 +115,9 @@ def _tool_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column
             yield Column(f"{name} {k + 1}", UNIT_SIZE, joints=joints)
 
 
-def _joint_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _joint_columns(series: Series, reverses: bool, state: State) -> Iterable[Column]:
     """Errors of each joint by itself."""
+    terms = series(state)
     for i in state.limbs:
         sense = _zero_where_unknown(state.motion_sign[:, i]) if reverses else 1.0
         leg = f"leg {i + 1}"
@@ -136,8 +125,9 @@ def _joint_columns(state: State, terms: Array, reverses: bool) -> Iterable[Colum
             yield Column(f"{leg} {k + 1}", UNIT_SIZE, leg, {i: sense * term})
 
 
-def _reading_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _reading_columns(series: Series, reverses: bool, state: State) -> Iterable[Column]:
     """Errors of the instrument, in each channel of each set-up."""
+    terms = series(state)
     for channel in state.channels:
         label = f"{state.setup} {channel}"
         for k, term in enumerate(terms.T):
@@ -270,7 +260,8 @@ class ExpectedColumns:
             for group in _groups_of(problem, effect, forms, unknown=True):
                 typical = _typical_size(known_groups, group)
                 if group.size > MIN_CHANGE and typical > MIN_CHANGE:
-                    groups.append(group.scaled(typical / group.size))
+                    unit = typical / group.size
+                    groups.append(dataclasses.replace(group, unit=unit))
         return _assembled(problem, forms, groups)
 
 
@@ -278,22 +269,19 @@ class ExpectedColumns:
 class _EffectGroup:
     """One group's coefficients at all of its constants.
 
-    readings      (N, a) changes, in units of the noise;  tool (m, a) displacements, m
-    coefficients  (form, coefficient) of each
-    share         that a coefficient at one of the constants has, in standard deviations
-    unit          factor of all coefficients
+    readings  (N, a) changes, in units of the noise;  tool (m, a) displacements, m
+    members   (a,) numbers among all coefficients of all forms
+    share     that a coefficient at one of the constants has, in standard deviations
+    unit      factor of all coefficients
     """
 
     name: str
     unknown: bool
     readings: Array
     tool: Array
-    coefficients: list[tuple[int, str]]
+    members: Index
     share: float
     unit: float = 1.0
-
-    def scaled(self, unit: float) -> _EffectGroup:
-        return dataclasses.replace(self, unit=unit)
 
     @property
     def size(self) -> float:
@@ -335,30 +323,28 @@ def _groups_of(
     """The groups of one effect; its forms are appended to `forms`."""
     grid = effect.constant_grid()
     tried = np.unique(np.linspace(0, len(grid) - 1, MAX_FORMS).round().astype(int))
-    signatures: list[tuple[int, Signature, dict[str, Array]]] = []
+    first = sum(len(form.names) for form in forms)
+    labels: list[str] = []
+    readings, displaced = [], []
     for constants in (grid[k] for k in tried):
         signature = problem.signature(effect, constants)
-        tool = _tool_changes(problem.states, effect, constants)
         if signature.names:
-            signatures.append((len(forms), signature, tool))
+            tool = _tool_changes(problem.states, effect, constants)
+            labels += signature.labels
+            readings.append(signature.columns)
+            displaced += [tool[name] for name in signature.names]
             forms.append(ActingEffectForm(effect, constants, signature.names, 1.0))
-    labels = dict.fromkeys(label for _, s, _ in signatures for label in s.labels)
-    share = 1.0 / np.sqrt(max(len(signatures), 1))
+    if not labels:
+        return []
+    share = len(readings) ** -0.5
+    changes = share * problem.noise_units(np.hstack(readings))
+    moved = share * np.column_stack(displaced)
     groups = []
-    for label in labels:
-        readings, displaced, coefficients = [], [], []
-        for number, signature, tool in signatures:
-            for k, name in enumerate(signature.names):
-                if signature.labels[k] == label:
-                    readings.append(signature.columns[:, k])
-                    displaced.append(tool[name])
-                    coefficients.append((number, name))
+    for label in dict.fromkeys(labels):
+        members = np.flatnonzero(np.array(labels) == label)
         name = f"{effect.name}: {label}" if label else effect.name
-        changes = problem.noise_units(np.column_stack(readings))
-        moved = share * np.column_stack(displaced)
-        groups.append(
-            _EffectGroup(name, unknown, share * changes, moved, coefficients, share)
-        )
+        parts = changes[:, members], moved[:, members]
+        groups.append(_EffectGroup(name, unknown, *parts, first + members, share))
     return groups
 
 
@@ -382,18 +368,13 @@ def _assembled(
     problem: GapProblem, forms: list[ActingEffectForm], groups: list[_EffectGroup]
 ) -> ExpectedColumns:
     """All groups side by side."""
-    numbers_of: dict[tuple[int, str], int] = {}
-    for number, form in enumerate(forms):
-        for name in form.names:
-            numbers_of[number, name] = len(numbers_of)
+    count = sum(len(form.names) for form in forms)
     columns, mixing, owner = [], [], []
     for g, group in enumerate(groups):
         combinations = group.principal() * group.unit
         columns.append(group.readings @ combinations)
-        block = np.zeros((len(numbers_of), combinations.shape[1]))
-        block[[numbers_of[coefficient] for coefficient in group.coefficients]] = (
-            group.share * combinations
-        )
+        block = np.zeros((count, combinations.shape[1]))
+        block[group.members] = group.share * combinations
         mixing.append(block)
         owner += [g] * combinations.shape[1]
     discrepancy = Discrepancy(
