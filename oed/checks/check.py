@@ -41,38 +41,27 @@ def doubtful_conditions(session: SessionReadings) -> list[CheckFinding]:
     findings = []
     frame = session.values.iloc[session.firsts]
     for column in filter(None, map(ReadingsColumn.from_covariate, frame.columns)):
-        stem = column.stem
+        stem, name, factor = column.stem, column.name, column.factor
         limits = next((v for k, v in RANGES.items() if stem.startswith(k)), None)
         if limits is None:
             continue
         values = frame[stem].to_numpy(dtype=float)
-        outside = np.isfinite(values) & ((values < limits[0]) | (values > limits[1]))
-        if outside.any():
-            findings.append(_doubt(session, column, limits, values, outside))
+        lower, upper = limits
+        outside = np.isfinite(values) & ((values < lower) | (values > upper))
+        if not outside.any():
+            continue
+        rows = session.rows(np.flatnonzero(outside))
+        least, largest = values[outside].min(), values[outside].max()
+        between = f"{least / factor:.6g}"
+        if largest > least:
+            between += f" to {largest / factor:.6g}"
+        sentence = (
+            f"{name} is {between} in {len(rows)} row{'s' if len(rows) > 1 else ''}"
+            f" ({listing(rows)}), outside {lower / factor:.6g} to {upper / factor:.6g}"
+            f" {name.removeprefix(f'{stem}_')}: {_cause(stem, least, largest, upper)}."
+        )
+        findings.append(CheckFinding(Severity.ORDER, "condition", sentence, rows))
     return findings
-
-
-def _doubt(
-    session: SessionReadings,
-    column: ReadingsColumn,
-    limits: tuple[float, float],
-    values: Array,
-    outside: Mask,
-) -> CheckFinding:
-    name, factor = column.name, column.factor
-    rows = session.rows(np.flatnonzero(outside))
-    ends = values[outside].min(), values[outside].max()
-    unit = name.removeprefix(f"{column.stem}_")
-    between = f"{ends[0] / factor:.6g}"
-    if ends[1] > ends[0]:
-        between += f" to {ends[1] / factor:.6g}"
-    lower, upper = (limit / factor for limit in limits)
-    sentence = (
-        f"{name} is {between} in {len(rows)} row{'s' if len(rows) > 1 else ''}"
-        f" ({listing(rows)}), outside {lower:.6g} to {upper:.6g} {unit}:"
-        f" {_cause(column.stem, *ends, limits[1])}."
-    )
-    return CheckFinding(Severity.ORDER, "condition", sentence, rows)
 
 
 def _cause(stem: str, least: float, largest: float, upper: float) -> str:

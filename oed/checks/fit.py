@@ -160,12 +160,8 @@ class _Problem:
     """Readings over parameters in their tolerances and amounts of a mistake in steps."""
 
     def __init__(self, undo: Undo, amounts: Array, steps: Array, scale: float) -> None:
-        self._undo, self._amounts, self._steps, self._scale = (
-            undo,
-            amounts,
-            steps,
-            scale,
-        )
+        self._undo, self._scale = undo, scale
+        self._amounts, self._steps = amounts, steps
         self._sessions: dict[bytes, SessionReadings] = {}
         session = undo(amounts)[0]
         self._measurement = session.measurement
@@ -354,15 +350,15 @@ def goodness_of_estimate(
     noise = measurement.noise(series)
     jacobian = measurement.jacobian(series, estimate.theta)
     slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)
-    if doubtful is None or not doubtful.any():
-        return goodness_of(estimate.chi2, residual_weights(noise.whiten(slopes)))
     # values that are left out have no information and no misfit
-    weight = np.where(doubtful, 0.0, 1.0)
+    weight = np.ones(len(slopes))
+    if doubtful is not None:
+        weight[doubtful] = 0.0
     white = noise.whiten(weight * estimate.residuals)
     weights = residual_weights(noise.whiten(weight[:, None] * slopes))
+    chi2 = estimate.chi2 if weight.all() else float(white @ white)
     # each value left out would add a weight of 1
-    count = int(doubtful.sum())
-    return goodness_of(float(white @ white), np.sort(weights)[: len(weights) - count])
+    return goodness_of(chi2, np.sort(weights)[: int(weight.sum())])
 
 
 def goodness_of(chi2: float, weights: Array) -> Goodness:

@@ -346,41 +346,23 @@ class Contradiction:
     same_order: bool  #: whether they pass the poses in the same order
 
 
-@dataclasses.dataclass(frozen=True)
-class _Run:
-    name: str
-    setup: str
-    row: Row
-    direction: float
-    joints: Array
-
-
 def contradictions(session: SessionReadings) -> list[Contradiction]:
-    """Pairs of runs whose orders and directions do not go together."""
+    """Pairs of runs of one direction each whose orders and directions do not go together."""
     if "direction" not in session.values.columns:
         return []
-    pairs = []
-    for one, other in itertools.combinations(_runs(session), 2):
-        if one.setup != other.setup:
-            continue
-        sense = _relative_sense(one.joints, other.joints)
-        if sense * one.direction * other.direction < 0.0:
-            rows = (one.row, other.row)
-            pairs.append(Contradiction((one.name, other.name), rows, sense > 0.0))
-    return pairs
-
-
-def _runs(session: SessionReadings) -> list[_Run]:
-    """Runs with one direction throughout, their joints in the order of travel."""
     runs = []
-    for setup, run, rows in session.ordered_runs():
-        directions = np.unique(rows["direction"].to_numpy(dtype=float))
-        if len(directions) != 1 or abs(directions[0]) != 1.0:
-            continue
-        path = session.joints[rows["reading"].to_numpy()]
-        first = rows["row"].iloc[0]
-        runs.append(_Run(run, setup, first, float(directions[0]), path))
-    return runs
+    for setup, run, frame in session.ordered_runs():
+        directions = np.unique(frame["direction"].to_numpy(dtype=float))
+        if len(directions) == 1 and abs(directions[0]) == 1.0:
+            path = session.joints[frame["reading"].to_numpy()]
+            runs.append((setup, run, frame["row"].iloc[0], directions[0], path))
+    pairs = []
+    for one, other in itertools.combinations(runs, 2):
+        setups, names, rows, signs, paths = zip(one, other, strict=True)
+        sense = _relative_sense(*paths) if setups[0] == setups[1] else 0.0
+        if sense * signs[0] * signs[1] < 0.0:
+            pairs.append(Contradiction(names, rows, sense > 0.0))
+    return pairs
 
 
 def _relative_sense(one: Array, other: Array) -> float:

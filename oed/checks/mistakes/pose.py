@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import Array, Mask
+from oed.base import Array
 from oed.checks.mistakes.moved import (
     Change,
     Moved,
@@ -233,6 +233,9 @@ def program(
     nominal machine reads the same, or the length that the instrument keeps.
     """
 
+    coordinate = measurement.machine.command[follower]
+    room = MAX_WIDTHS_OUTSIDE * (coordinate.upper - coordinate.lower)
+
     def moved(series: Series) -> Series | None:
         setup = measurement.setups[series.setup]
         length = setup.instrument.fixed_reading
@@ -241,67 +244,43 @@ def program(
         goal = _first_channel(measurement, series)
         if keeps_length:
             goal[:] = length(setup.settings)
-        return _solved(measurement, series, k, follower, amount, goal)
+        rows = commanded_in_file(series, is_taught=setup.teach is not None)
+        # the reading that each of these rows has
+        reading = np.zeros(len(rows), dtype=np.intp)
+        reading[series.index[:, 0]] = np.arange(len(series))
+        command = series.command.copy()
+        command[rows, k] += amount
+
+        def missing(by: float) -> Array:
+            """What readings (n,) lack of the goal where followers change."""
+            nearby = command.copy()
+            nearby[rows, follower] += by
+            return _first_channel(measurement, _at(measurement, series, nearby)) - goal
+
+        for _ in range(MAX_STEPS):
+            here = missing(0.0)
+            if np.abs(here).max() < 1e-10:
+                is_inside = inside(
+                    command[rows], measurement.machine, setup.tool, RANGE_SLACK
+                )
+                return _at(measurement, series, command) if is_inside else None
+            change = missing(COMMAND_STEP) - here
+            if not np.all(np.abs(change) > 0.0):  # also where a reading is not finite
+                return None
+            step = -here * COMMAND_STEP / change
+            command[rows, follower] += step[reading[rows]]
+            # hundreds of steps of kinematics away nothing is read
+            value = command[:, follower]
+            far = (value < coordinate.lower - room) | (value > coordinate.upper + room)
+            if far.any():
+                lost = np.flatnonzero(far)
+                raise AssemblyError("no command has this reading", lost)
+        return None
 
     return moved
 
 
-def _solved(
-    measurement: Measurement,
-    series: Series,
-    k: int,
-    follower: int,
-    amount: float,
-    goal: Array,
-) -> Series | None:
-    """The same, with readings (n,) of the first channel that are a goal."""
-    setup = measurement.setups[series.setup]
-    rows = commanded_in_file(series, is_taught=setup.teach is not None)
-    command = series.command.copy()
-    command[rows, k] += amount
-    reading = _place_of_rows(series, rows)
-    for _ in range(MAX_STEPS):
-        here = (
-            _first_channel(measurement, _series_at(measurement, series, command)) - goal
-        )
-        if np.abs(here).max() < 1e-10:
-            break
-        nearby = command.copy()
-        nearby[rows, follower] += COMMAND_STEP
-        there = (
-            _first_channel(measurement, _series_at(measurement, series, nearby)) - goal
-        )
-        change = there - here
-        if not np.all(np.abs(change) > 0.0):  # also where a reading is not finite
-            return None
-        step = -here * COMMAND_STEP / change
-        command[rows, follower] += step[reading]
-        _check_distance(command, follower, measurement)
-    else:
-        return None
-    if not inside(command[rows], measurement.machine, setup.tool, RANGE_SLACK):
-        return None
-    return _series_at(measurement, series, command)
-
-
-def _check_distance(command: Array, follower: int, measurement: Measurement) -> None:
-    """Raise AssemblyError for followers hundreds of steps of kinematics away."""
-    coordinate = measurement.machine.command[follower]
-    room = MAX_WIDTHS_OUTSIDE * (coordinate.upper - coordinate.lower)
-    value = command[:, follower]
-    is_far = (value < coordinate.lower - room) | (value > coordinate.upper + room)
-    if is_far.any():
-        raise AssemblyError("no command has this reading", np.flatnonzero(is_far))
-
-
-def _place_of_rows(series: Series, rows: Mask) -> Array:
-    """Number of the reading that each commanded row of the file has."""
-    reading = np.zeros(len(series.command), dtype=np.intp)
-    reading[series.index[:, 0]] = np.arange(len(series))
-    return np.asarray(reading[rows])
-
-
-def _series_at(measurement: Measurement, series: Series, command: Array) -> Series:
+def _at(measurement: Measurement, series: Series, command: Array) -> Series:
     tool = np.array(measurement.setups[series.setup].tool)
     x, q = measurement.kinematics.sent(command, tool)
     return dataclasses.replace(series, q=q, start=x, command=command)
