@@ -15,6 +15,7 @@ the commands need not be the coordinates in which errors are stated.
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -164,8 +165,11 @@ class JointErrors:
         of_noise = joint_size(rows, np.where(np.isnan(errors), np.nan, sigma))
         size = max(joint_size(rows, errors), of_noise)
         prior = _Prior(self.home_place, TREND_SIZE * size, of_noise)
-        kernel = _fit_kernel(prior, rows, read, values, noise, size)
-        return ErrorField(self, rows, read, node.ravel(), values, noise, kernel, prior)
+        kernel = expected_kernel(size, rows.positions.shape[1])
+        expected = ErrorField(
+            self, rows, read, node.ravel(), values, noise, kernel, prior
+        )
+        return expected.most_probable()
 
     def plan_nodes(
         self, candidates: Array, most: int, expected: Array, sigma: Array, target: Array
@@ -309,13 +313,51 @@ class ErrorField:
 
     @functools.cached_property
     def _factor(self) -> tuple[Array, bool]:
-        whole = _covariance(self.prior, self.kernel, self.rows, self.read, self.sigma)
+        """Of the covariance (r, r) of readings: errors, the instrument's zero, and noise."""
+        rows, zero = self.rows, self.prior.zero(self.rows)
+        whole = self.prior.variance(self.kernel, rows, rows) + zero @ zero.T
+        whole = whole[np.ix_(self.read, self.read)]
+        whole += np.diag(self.sigma**2 + NUGGET_SHARE * np.diag(whole))
         factor, lower = linalg.cho_factor(whole, lower=True)
         return np.asarray(factor), bool(lower)
 
     @functools.cached_property
     def _weights(self) -> Array:
         return np.asarray(linalg.cho_solve(self._factor, self.errors))
+
+    def most_probable(self) -> "ErrorField":
+        """The field with the kernel of largest posterior density among all orders."""
+        size, axes = self.kernel.size, len(self.kernel.length)
+
+        def of_kernel(point: Array, order: str) -> ErrorField:
+            length = LENGTH_MEDIAN * np.exp(point[1:])
+            kernel = Kernel(order, size * float(np.exp(point[0])), length)
+            return dataclasses.replace(self, kernel=kernel)
+
+        def cost(point: Array, order: str) -> float:
+            field = of_kernel(point, order)
+            try:
+                log_root = float(np.log(np.diag(field._factor[0])).sum())
+            except linalg.LinAlgError:
+                return 1e10
+            misfit = 0.5 * float(self.errors @ field._weights)
+            return (
+                misfit
+                + log_root
+                + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
+            )
+
+        minima = []
+        for order, start in itertools.product(MATERN_ORDERS, START_LENGTHS):
+            solution = optimize.minimize(
+                cost,
+                np.r_[-1.0, np.full(axes, np.log(start))],
+                args=(order,),
+                method="L-BFGS-B",
+                bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
+            )
+            minima.append((solution.fun, of_kernel(solution.x, order)))
+        return min(minima, key=lambda minimum: minimum[0])[1]
 
     def forecast(
         self,
@@ -367,65 +409,12 @@ class ErrorField:
         )
 
 
-def _covariance(
-    prior: _Prior, kernel: Kernel, rows: ErrorRows, read: Index, sigma: Array
-) -> Array:
-    """Covariance (r, r) of readings: errors, the instrument's zero, and noise."""
-    zero = prior.zero(rows)
-    whole = prior.variance(kernel, rows, rows) + zero @ zero.T
-    whole = whole[np.ix_(read, read)]
-    return whole + np.diag(sigma**2 + NUGGET_SHARE * np.diag(whole))
-
-
 def joint_size(rows: ErrorRows, errors: Array) -> float:
     """Size of joint errors that make errors (n, k), SI, by the largest component."""
     per_joint = np.sqrt((rows.local**2).sum(axis=2).mean(axis=0))
     read = ~np.isnan(errors).all(axis=0)
     deviation = np.sqrt(np.nanmean(errors[:, read] ** 2, axis=0))
     return max(float(np.max(deviation / per_joint[read])), 1e-12)
-
-
-def _fit_kernel(
-    prior: _Prior,
-    rows: ErrorRows,
-    read: Index,
-    values: Array,
-    sigma: Array,
-    size: float,
-) -> Kernel:
-    """The kernel with the largest posterior density among all orders."""
-    axes = rows.positions.shape[1]
-
-    def kernel_of(point: Array, order: str) -> Kernel:
-        return Kernel(
-            order, size * float(np.exp(point[0])), LENGTH_MEDIAN * np.exp(point[1:])
-        )
-
-    def negative_log_posterior(point: Array, order: str) -> float:
-        covariance = _covariance(prior, kernel_of(point, order), rows, read, sigma)
-        try:
-            root = linalg.cholesky(covariance, lower=True)
-        except linalg.LinAlgError:
-            return 1e10
-        whitened = linalg.solve_triangular(root, values, lower=True)
-        fit = 0.5 * float(whitened @ whitened) + float(np.log(np.diag(root)).sum())
-        return fit + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
-
-    best = expected_kernel(size, axes)
-    best_value = np.inf
-    for order in MATERN_ORDERS:
-        for start in START_LENGTHS:
-            solution = optimize.minimize(
-                negative_log_posterior,
-                np.r_[-1.0, np.full(axes, np.log(start))],
-                args=(order,),
-                method="L-BFGS-B",
-                bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
-            )
-            if solution.fun < best_value:
-                best = kernel_of(solution.x, order)
-                best_value = solution.fun
-    return best
 
 
 @dataclasses.dataclass(frozen=True)
