@@ -212,28 +212,27 @@ class CorrectedEstimate:
     def turned_runs(self) -> TurnedRuns | None:
         """Runs that fit clearly better driven the other way; None: there are none."""
         as_stated = self.readings.problem(self.estimate.theta[: self.parameters])
-        search = _Search(
-            form_evidence(as_stated),
-            as_stated.residual,
-            _columns(as_stated, self),
-            _columns(as_stated.with_reversed_runs(), self),
-        )
-        felt = [rows for rows in as_stated.members if search.is_felt(rows)]
+        columns = _columns(as_stated, self)
+        turned_columns = _columns(as_stated.with_reversed_runs(), self)
+        change = turned_columns - columns
+        felt = [k for k in as_stated.members if np.linalg.norm(change[k]) > MIN_CHANGE]
         if len(felt) < MIN_RUNS:
             return None
-        turned = search.best(felt)
+        evidence, residual = form_evidence(as_stated), as_stated.residual
+        search = _Search(evidence, residual, columns, turned_columns, felt)
+        turned = search.best()
         if turned.sum() > len(felt) / 2:
             turned = ~turned
         none = np.zeros(len(felt), dtype=bool)
-        gain = search.value(felt, turned) - search.value(felt, none)
+        gain = search.value(turned) - search.value(none)
         if not turned.any() or gain < MIN_GAIN:
             return None
         firsts = [rows[0] for rows, is_one in zip(felt, turned, strict=True) if is_one]
         names = as_stated.rows.iloc[firsts]
         return TurnedRuns(
             runs=tuple(zip(names["setup"], names["run"], strict=True)),
-            before=search.ratio(felt, none),
-            after=search.ratio(felt, turned),
+            before=search.ratio(none),
+            after=search.ratio(turned),
             gain=gain,
         )
 
@@ -448,56 +447,32 @@ class _Search:
     residual: Array
     as_stated: Array
     turned: Array
+    runs: Sequence[Index]  #: (R,) readings of each run
 
-    def is_felt(self, rows: Index) -> bool:
-        """Whether turning the run of these readings changes them."""
-        change = self.turned[rows] - self.as_stated[rows]
-        return bool(np.linalg.norm(change) > MIN_CHANGE)
+    def value(self, turned: Mask) -> float:
+        """Log evidence with some of the runs (R,) turned."""
+        return self.evidence.log_evidence(self._columns(turned), self.residual)
 
-    def value(self, runs: Sequence[Index], turned: Mask) -> float:
-        """Log evidence with some of the runs turned."""
-        return self.evidence.log_evidence(self._columns(runs, turned), self.residual)
-
-    def ratio(self, runs: Sequence[Index], turned: Mask) -> float:
-        """Residuals over the stated noise with some of the runs turned."""
-        columns = self._columns(runs, turned)
+    def ratio(self, turned: Mask) -> float:
+        """Residuals over the stated noise with some of the runs (R,) turned."""
+        columns = self._columns(turned)
         unexplained = self.evidence.unexplained(columns, self.residual)
         return float(np.sqrt(unexplained / len(self.residual)))
 
-    def _columns(self, runs: Sequence[Index], turned: Mask) -> Array:
+    def _columns(self, turned: Mask) -> Array:
         columns = self.as_stated.copy()
-        for rows, is_turned in zip(runs, turned, strict=True):
+        for rows, is_turned in zip(self.runs, turned, strict=True):
             if is_turned:
                 columns[rows] = self.turned[rows]
         return columns
 
-    def best(self, runs: Sequence[Index]) -> Mask:
-        """The set (R,) of turned runs of highest evidence: by single runs, two starts."""
-        none = np.zeros(len(runs), dtype=bool)
-        starts = [none, self._one_after_the_other(runs)]
-        climbed = [self._climb(runs, start) for start in starts]
-        return max(climbed, key=lambda turned: self.value(runs, turned))
-
-    def _one_after_the_other(self, runs: Sequence[Index]) -> Mask:
-        """Each run turned or not as the runs before it ask for."""
-        turned = np.zeros(len(runs), dtype=bool)
-        for k in range(1, len(runs)):
-            rows = np.concatenate(runs[: k + 1])
-            values = []
-            for choice in (False, True):
-                turned[k] = choice
-                columns = np.zeros_like(self.as_stated)
-                columns[rows] = self._columns(runs, turned)[rows]
-                values.append(self.evidence.log_evidence(columns, self.residual))
-            turned[k] = values[1] > values[0]
-        return turned
-
-    def _climb(self, runs: Sequence[Index], turned: Mask) -> Mask:
-        """Turn the run that gains most, until none does."""
-        value = self.value(runs, turned)
+    def best(self) -> Mask:
+        """Turned runs (R,): the one that gains most is turned, until none does."""
+        turned = np.zeros(len(self.runs), dtype=bool)
+        value = self.value(turned)
         while True:
-            changed = [turned ^ (np.arange(len(runs)) == k) for k in range(len(runs))]
-            values = [self.value(runs, one) for one in changed]
+            changed = turned ^ np.eye(len(turned), dtype=bool)
+            values = [self.value(one) for one in changed]
             k = int(np.argmax(values))
             if values[k] <= value + 1e-9:
                 return turned
