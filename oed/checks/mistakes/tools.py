@@ -10,12 +10,13 @@ import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from oed.base import Array
 from oed.checks.fit import CANNOT_BE
-from oed.checks.mistakes.moved import AGAIN_SUFFIX, Moved, mounted_again, with_moved
+from oed.checks.mistakes.moved import AGAIN_SUFFIX, mounted_again, with_moved
 from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import (
     MistakeTrial,
@@ -24,6 +25,7 @@ from oed.checks.mistakes.trial import (
     mistakes_of_scopes,
 )
 from oed.checks.session import SessionReadings
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 
 LENGTH_STEP = 1e-4  #: step of the tool's length for differences, m
@@ -50,113 +52,99 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     wholes = [scope for scope in data.scopes if not scope.is_part]
     for (text, uses), axes in itertools.product(POINT_USES.items(), AXIS_SETS):
         scopes = data.scopes if uses == {"read"} else wholes
-        shift = _shifts(session, measured, uses, axes)
         starts = {0.0, *(-2.0 * tool[axes[0]] for tool in tools if len(axes) == 1)}
         for start in sorted(starts, key=abs):
-            amounts = np.full(len(axes), start)
-            table = _table(data, partial(shift, data.file), amounts)
+            point = PointMistake(text, uses, axes, np.full(len(axes), start), measured)
+            table = point.table(data)
             if table is not None:
-                on = partial(_elsewhere, shift, text, axes, amounts, table)
-                yield from mistakes_of_scopes(scopes, on)
-
-
-#: the session with the tool point of a scope moved by amounts, m
-Shift = Callable[[Scope, Array], list[SessionReadings]]
-
-
-def _elsewhere(
-    shift: Shift,
-    text: str,
-    axes: Sequence[int],
-    start: Array,
-    table: PoseTable,
-    scope: Scope,
-) -> MistakeTrial | None:
-    """A tool point elsewhere: near the stated one, or where it has the other sign."""
-    columns = np.where(scope.values[:, None], table.by_amount, 0.0)
-    if not columns.any():
-        return None
-    of = scope.within if scope.is_part else scope.of.replace(" set-up ", " ")
-    what = text.format(of=of)
-    return MistakeTrial(
-        kind="tool",
-        scope=scope,
-        text=partial(_words, what, axes),
-        change=partial(shift, scope),
-        amounts=start,
-        steps=np.full(len(axes), LENGTH_STEP),
-        family=f"{what} {axes} {start}",
-        table=table if start.any() else None,
-        columns=None if start.any() else columns,
-    )
-
-
-def _table(
-    data: Suspect, shift: Callable[[Array], list[SessionReadings]], start: Array
-) -> PoseTable | None:
-    """Readings, and slopes over the amounts, from a start on; None where there are none."""
-
-    def read(amounts: Array) -> Array:
-        session = shift(amounts)[0]
-        return session.measurement.readings(session.series, session.measurement.nominal)
-
-    try:
-        first = read(start)
-        steps = LENGTH_STEP * np.eye(len(start))
-        slopes = np.column_stack(
-            [(read(start + s) - first) / LENGTH_STEP for s in steps]
-        )
-    except CANNOT_BE:
-        return None
-    spread = np.maximum(0.1 * np.abs(start), LENGTH_STEP) if start.any() else 1.0
-    first = first + data.predicted - data.nominal
-    return PoseTable(first, data.slopes, slopes * spread)
+                yield from mistakes_of_scopes(scopes, partial(point.trial, table))
 
 
 def _measured(session: SessionReadings, read: tuple[float, ...]) -> Measurement:
     """The measurement with set-ups once more that read another point, m from theirs."""
-    return mounted_again(
-        session.measurement,
-        dict.fromkeys(s.setup for s in session.series),
-        lambda s: {
-            "station": s.owner,
-            "tool": tuple((np.array(s.tool) + read).tolist()),
-        },
-    )
+
+    def changed(setup: Setup) -> dict[str, Any]:
+        tool = (np.array(setup.tool) + read).tolist()
+        return {"station": setup.owner, "tool": tuple(tool)}
+
+    setups = dict.fromkeys(s.setup for s in session.series)
+    return mounted_again(session.measurement, setups, changed)
 
 
-def _shifts(
-    session: SessionReadings,
-    measured: Callable[[tuple[float, ...]], Measurement],
-    uses: set[str],
-    axes: Sequence[int],
-) -> Shift:
-    measurement = session.measurement
+@dataclasses.dataclass(frozen=True, eq=False)
+class PointMistake:
+    """A tool point elsewhere: near the stated one, or where it has the other sign."""
 
-    def moved_by(away: Array) -> Moved:
+    text: str  #: what has it, with `{of}`
+    uses: set[str]  #: whether it is read, driven, driven about home
+    axes: Sequence[int]  #: (k,) along which it is elsewhere
+    start: Array  #: (k,) from which amounts are sought, m
+    #: measurements with set-ups once more that read another point, m from theirs
+    measured: Callable[[tuple[float, ...]], Measurement]
+
+    def undo(self, scope: Scope, amounts: Array) -> list[SessionReadings]:
+        """The session with the tool point of a scope moved by amounts, m."""
+        measurement = scope.session.measurement
+        away = np.zeros(3)
+        away[list(self.axes)] = amounts
+        read = away if "read" in self.uses else np.zeros(3)
+        other = self.measured(tuple(read.tolist()))
+
         def moved(series: Series) -> Series:
             again = series.setup + AGAIN_SUFFIX
-            if "driven" not in uses:
+            if "driven" not in self.uses:
                 return dataclasses.replace(series, setup=again)
             if not np.isfinite(series.command).all():
                 raise ValueError("recorded joints have no command")
             tool = np.array(measurement.setups[series.setup].tool) + away
             command = series.command
-            if "home" in uses:
+            if "home" in self.uses:
                 command = measurement.machine.with_tool(command, away)
             x, q = measurement.kinematics.sent(command, tool)
             return dataclasses.replace(series, setup=again, q=q, start=x)
 
-        return moved
+        session = dataclasses.replace(scope.session, measurement=other)
+        return [with_moved(session, scope.readings, moved)]
 
-    def shift(scope: Scope, amounts: Array) -> list[SessionReadings]:
-        away = np.zeros(3)
-        away[list(axes)] = amounts
-        read = away if "read" in uses else np.zeros(3)
-        other = dataclasses.replace(session, measurement=measured(tuple(read.tolist())))
-        return [with_moved(other, scope.readings, moved_by(away))]
+    def table(self, data: Suspect) -> PoseTable | None:
+        """Readings, and slopes over the amounts, from the start on; None without."""
 
-    return shift
+        def read(amounts: Array) -> Array:
+            session = self.undo(data.file, amounts)[0]
+            nominal = session.measurement.nominal
+            return session.measurement.readings(session.series, nominal)
+
+        try:
+            first = read(self.start)
+            steps = LENGTH_STEP * np.eye(len(self.start))
+            ahead = np.column_stack([read(self.start + step) for step in steps])
+        except CANNOT_BE:
+            return None
+        slopes = (ahead - first[:, None]) / LENGTH_STEP
+        if self.start.any():
+            slopes *= np.maximum(0.1 * np.abs(self.start), LENGTH_STEP)
+        first = first + data.predicted - data.nominal
+        return PoseTable(first, data.slopes, slopes)
+
+    def trial(self, table: PoseTable, scope: Scope) -> MistakeTrial | None:
+        """The mistake in a scope; None where nothing is read otherwise."""
+        columns = np.where(scope.values[:, None], table.by_amount, 0.0)
+        if not columns.any():
+            return None
+        of = scope.within if scope.is_part else scope.of.replace(" set-up ", " ")
+        what = self.text.format(of=of)
+        is_far = bool(self.start.any())
+        return MistakeTrial(
+            kind="tool",
+            scope=scope,
+            text=partial(_words, what, self.axes),
+            change=partial(self.undo, scope),
+            amounts=self.start,
+            steps=np.full(len(self.axes), LENGTH_STEP),
+            family=f"{what} {self.axes} {self.start}",
+            table=table if is_far else None,
+            columns=None if is_far else columns,
+        )
 
 
 def _words(what: str, axes: Sequence[int], amounts: Array, sd: Array) -> str:
