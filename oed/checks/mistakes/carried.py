@@ -49,31 +49,22 @@ LAGS: dict[str, Callable[[int, float], Array]] = {
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings of each run, of one and of the whole file that hold parts of others."""
-    for each in (True, False):
-        scopes = [data.file] if each and len(data.runs) > 1 else data.scopes
-        for text in FIXED:
-            yield from mistakes_of_scopes(scopes, partial(_fixed, text, each))
-        for text in LAGS:
-            yield from mistakes_of_scopes(scopes, partial(_lagging, text, each))
+    for text in FIXED:
+        yield from mistakes_of_scopes(data.sequential, partial(_fixed, text))
+    for text in LAGS:
+        yield from mistakes_of_scopes(data.sequential, partial(_lagging, text))
 
 
-def _groups(scope: Scope, *, each: bool) -> list[Index]:
-    """Values of each channel in the order in which they were read, by run or all."""
+def _groups(scope: Scope) -> list[Index]:
+    """Values of each channel in the order in which they were read."""
     channel = scope.data.channel
-    parts = scope.runs if each or scope.level == "runs" else [scope]
     groups = []
-    for part in parts:
+    for part in scope.sequences:
         inside = part.shown
         groups += [
             np.flatnonzero(inside & (channel == c)) for c in set(channel[inside])
         ]
     return groups if all(3 <= len(group) <= 400 for group in groups) else []
-
-
-def _where(scope: Scope, *, each: bool) -> str:
-    if scope.name:
-        return scope.of
-    return " of each run" if each and len(scope.data.runs) > 1 else ""
 
 
 def _drop_carried(
@@ -86,21 +77,20 @@ def _drop_carried(
     return y
 
 
-def _fixed(text: str, each: bool, scope: Scope) -> MistakeTrial | None:
-    groups = _groups(scope, each=each)
+def _fixed(text: str, scope: Scope) -> MistakeTrial | None:
+    groups = _groups(scope)
     matrices = [FIXED[text](len(group)) for group in groups]
     if not groups or any(np.linalg.cond(q) > 1e4 for q in matrices):
         return None
     y = _drop_carried(scope, groups, FIXED[text])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
-    sentence = f"the readings{_where(scope, each=each)} are {text}"
+    sentence = f"the readings{scope.of} are {text}"
     return value_trial(scope, "carried", sentence, y, log_scale=log_scale)
 
 
-def _lagging(shown_part: str, each: bool, scope: Scope) -> MistakeTrial | None:
+def _lagging(shown_part: str, scope: Scope) -> MistakeTrial | None:
     session = scope.session
-    where = _where(scope, each=each)
-    groups = _groups(scope, each=each)
+    groups = _groups(scope)
     if not groups:
         return None
     count = sum(len(group) - 1 for group in groups)
@@ -116,7 +106,7 @@ def _lagging(shown_part: str, each: bool, scope: Scope) -> MistakeTrial | None:
     def text(amounts: Array, sd: Array) -> str:
         share, error = (100.0 * float(v[0]) for v in (amounts, sd))
         return (
-            f"the readings{where} hold {rounded(share, error)} % (sd {error:.2g} %)"
+            f"the readings{scope.of} hold {rounded(share, error)} % (sd {error:.2g} %)"
             f" {shown_part}: read before they had settled, or through a filter"
         )
 
@@ -131,6 +121,6 @@ def _lagging(shown_part: str, each: bool, scope: Scope) -> MistakeTrial | None:
         amounts=np.zeros(1),
         steps=np.array([SHARE_STEP]),
         scaling=scaling,
-        family=f"lag {shown_part} {each} {scope.name}",
+        family=f"lag {shown_part} {scope.name}",
         columns=((session.y - without(SHARE_STEP)) / SHARE_STEP)[:, None],
     )

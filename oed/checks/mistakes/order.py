@@ -28,34 +28,17 @@ BACKWARD: dict[str, Turn] = {
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
-    for each in (True, False):
-        scopes = [data.file] if each else data.scopes
-        for text, turn in {**BACKWARD, **_column_orders(data)}.items():
-            on = partial(_turned_round, text, turn, each)
-            yield from mistakes_of_scopes(scopes, on)
-        for shift in SHIFTS:
-            parts = data.parts if not each and abs(shift) == 1 else []
-            on = partial(_late, shift, each)
-            yield from mistakes_of_scopes([*scopes, *parts], on)
-        for scope in scopes:
-            if scope.level != "set-up":
-                yield from filter(None, _turned(scope, each))
+    for text, turn in {**BACKWARD, **_column_orders(data)}.items():
+        yield from mistakes_of_scopes(
+            data.sequential, partial(_turned_round, text, turn)
+        )
+    for shift in SHIFTS:
+        parts = data.parts if abs(shift) == 1 else []
+        yield from mistakes_of_scopes([*data.sequential, *parts], partial(_late, shift))
+    for scope in data.sequential:
+        if scope.level != "set-up":
+            yield from filter(None, _turned(scope))
     yield from filter(None, itertools.chain(_interleaved(data), _relabelled(data)))
-
-
-def _groups(scope: Scope, *, each: bool) -> list[Index]:
-    """Readings of a scope that are reordered together: its runs, or all of several."""
-    if len(scope.data.runs) == 1 and scope.level == "file" and not each:
-        return []
-    if each or scope.level == "runs":
-        return [run.readings for run in scope.runs]
-    return [scope.readings]
-
-
-def _subject(scope: Scope, *, each: bool) -> str:
-    if each:
-        return "the readings of each run"
-    return f"the readings{scope.of}" if scope.name else "the readings of the file"
 
 
 def _column_orders(data: Suspect) -> dict[str, Turn]:
@@ -96,44 +79,40 @@ def _turn_lines(key: Array, first: int, rows: Index) -> Index:
     )
 
 
-def _turned_round(
-    text: str, turn: Turn, each: bool, scope: Scope
-) -> MistakeTrial | None:
-    order = _reordered(scope.data, _groups(scope, each=each), turn)
-    return _reordering(scope, f"{_subject(scope, each=each)} are in {text}", order)
+def _turned_round(text: str, turn: Turn, scope: Scope) -> MistakeTrial | None:
+    sentence = f"the readings{scope.of or ' of the file'} are in {text}"
+    return _reordering(scope, sentence, _reordered(scope, turn))
 
 
-def _late(shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
+def _late(shift: int, scope: Scope) -> MistakeTrial | None:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
-    groups = _groups(scope, each=each)
-    if min((len(rows) for rows in groups), default=0) <= 2 * abs(shift):
+    groups = [part.readings for part in scope.sequences]
+    if min(len(rows) for rows in groups) <= 2 * abs(shift):
         return None
-    order = _reordered(scope.data, groups, partial(np.roll, shift=-shift))
+    order = _reordered(scope, partial(np.roll, shift=-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
-    sentence = _stand(scope, shift, each=each)
-    return _reordering(scope, sentence, order, np.concatenate(lost))
+    return _reordering(scope, _stand(scope, shift), order, np.concatenate(lost))
 
 
-def _stand(scope: Scope, shift: int, *, each: bool) -> str:
+def _stand(scope: Scope, shift: int) -> str:
     """That readings stand some rows from their place."""
-    where = "" if scope.name else "in the file "
-    subject = "the readings" if each or where else _subject(scope, each=each)
+    of, where = scope.of, ""
+    if scope.each or not scope.name:
+        of, where = "", f" in {scope.name or 'the file'}"
     count = f"{abs(shift)} row{'s' if abs(shift) > 1 else ''}"
     way = "late" if shift > 0 else "early"
-    return f"{subject} stand {'in each run ' if each else where}{count} too {way}"
+    return f"the readings{of} stand{where} {count} too {way}"
 
 
-def _turned(scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
+def _turned(scope: Scope) -> Iterator[MistakeTrial | None]:
     """Readings that stand some rows too late, the last ones first."""
-    groups = _groups(scope, each=each)
-    sizes = [len(rows) for rows in groups]
-    if not sizes or max(sizes) > 60:
+    sizes = [len(part.readings) for part in scope.sequences]
+    if max(sizes) > 60:
         return
     for shift in range(1, min(sizes)):
-        order = _reordered(scope.data, groups, partial(np.roll, shift=-shift))
+        order = _reordered(scope, partial(np.roll, shift=-shift))
         least = min(shift, shift - max(sizes), key=abs)
-        sentence = _stand(scope, least, each=each)
-        pushed_out = f"{sentence}, with those pushed out at the other end"
+        pushed_out = f"{_stand(scope, least)}, with those pushed out at the other end"
         yield _reordering(scope, pushed_out, order)
 
 
@@ -210,11 +189,11 @@ def _every(data: Suspect) -> Index:
     return np.arange(1 + int(data.session.reading_of_value[-1]), dtype=np.intp)
 
 
-def _reordered(data: Suspect, groups: Sequence[Index], turn: Turn) -> Index:
-    """Readings to take, by number, with those of each group turned."""
-    order = _every(data)
-    for rows in groups:
-        order[rows] = turn(rows)
+def _reordered(scope: Scope, turn: Turn) -> Index:
+    """Readings to take, by number, with those that follow each other turned."""
+    order = _every(scope.data)
+    for part in scope.sequences:
+        order[part.readings] = turn(part.readings)
     return order
 
 

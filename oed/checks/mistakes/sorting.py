@@ -19,19 +19,18 @@ UNKNOWN_ORDER = "in another order than their poses"
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """The file, each set-up, each run and all runs, by rows and by columns."""
-    runs = [run.readings for run in data.runs]
-    for scope in data.scopes:
-        yield from _scope_trials(data, scope, [scope.readings], f"readings{scope.of}")
-    if len(runs) > 1 and _order(data, [np.arange(len(data.session))]) == UNKNOWN_ORDER:
-        yield from _scope_trials(data, data.file, runs, "readings of each run")
+    every = [np.arange(len(data.session))]
+    for scope in data.sequential:
+        if not scope.each or _order(data, every) == UNKNOWN_ORDER:
+            yield from _scope_trials(scope)
 
 
-def _scope_trials(
-    data: Suspect, scope: Scope, groups: list[Index], subject: str
-) -> Iterator[MistakeTrial]:
+def _scope_trials(scope: Scope) -> Iterator[MistakeTrial]:
+    data, groups = scope.data, [part.readings for part in scope.sequences]
     sizes = [len(g) for g in groups]
     if min(sizes) < 5 or max(sizes) > 400 or not data.shown.all():
         return
+    subject = f"readings{scope.of}"
     channels = list(scope.channels)
     tables = [_table(data, group, channels) for group in groups]
     complete = [table for table in tables if table is not None]

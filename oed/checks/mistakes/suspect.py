@@ -28,6 +28,7 @@ class Scope:
     name: str  #: `run cup 1`; empty for the file
     readings: Index  #: their numbers, ascending
     values: Mask  #: (N,) values of these: all, those of a unit, or those of a channel
+    each: bool = False  #: whether it is each run of the file by itself
 
     @property
     def session(self) -> SessionReadings:
@@ -54,6 +55,11 @@ class Scope:
         """Each run that it has whole."""
         runs = self.data.runs
         return [run for run in runs if np.isin(run.readings, self.readings).all()]
+
+    @property
+    def sequences(self) -> "list[Scope]":
+        """Readings that follow each other: those of its runs, or all of them."""
+        return self.runs if self.each or self.level == "runs" else [self]
 
     @property
     def shown(self) -> Mask:
@@ -245,6 +251,12 @@ class Suspect:
     def file(self) -> Scope:
         """The whole file."""
         return self.scopes[0]
+
+    @property
+    def sequential(self) -> list[Scope]:
+        """Each of several runs by itself, all at once, then the file, set-ups and runs."""
+        each = dataclasses.replace(self.file, name="each run", each=True)
+        return [each, *self.scopes] if len(self.runs) > 1 else self.scopes
 
     @functools.cached_property
     def runs(self) -> list[Scope]:
