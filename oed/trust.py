@@ -45,7 +45,8 @@ def section_objections(
     if final is None:
         return []
     far = far_parameters(final)
-    sentences = [_check_reasons(goodness)] if _fails_check(goodness) else []
+    fails_check = goodness is not None and goodness.bad_fit
+    sentences = [_check_reasons(goodness)] if fails_check else []
     if corrected is not None:
         sentences += corrected.warnings
     elif not sentences and estimate is not None:
@@ -84,10 +85,6 @@ def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
         for name, p in section.parameters.items()
         if abs(p.value - p.nominal) > FAR_TOLERANCES * p.prior_sd
     ]
-
-
-def _fails_check(goodness: GoodnessSection | None) -> bool:
-    return goodness is not None and goodness.bad_fit
 
 
 def _check_reasons(goodness: GoodnessSection | None) -> str:

@@ -223,10 +223,9 @@ def _trial_in_runs(
     trial = on(scope)
     if trial is None:
         return None
-    every, some = len(data.runs), len(runs)
-    sets = np.log(every) + special.gammaln(every + 1.0)
-    sets -= special.gammaln(some + 1.0) + special.gammaln(every - some + 1.0)
-    return dataclasses.replace(trial, on=on, log_prior=trial.log_prior - float(sets))
+    every = len(data.runs)
+    log_sets = float(np.log(every * special.binom(every, len(runs))))
+    return dataclasses.replace(trial, on=on, log_prior=trial.log_prior - log_sets)
 
 
 def _improved(
@@ -319,20 +318,16 @@ def explain(
         nearest is not None
         and np.abs(nearest.departure).max() < MAX_PARAMETER_DEPARTURE
     ):
-        screening = _better(screening, Screening(dataclasses.replace(data, at=nearest)))
-        data = screening.data
+        near = Screening(dataclasses.replace(data, at=nearest))
+        # the linear model that explains the readings as given better
+        if near.as_given().log_evidence > screening.as_given().log_evidence:
+            screening, data = near, near.data
     fitted: list[Explanation] = []
     for some in candidates(data, screening, thorough=thorough, of_noise=of_noise):
         fitted += [one for c in some if (one := undone(data, c)) is not None]
         if any(_settles(one, nothing) for one in fitted):
             break
     return _explanations(_distinct(fitted), nothing, before, len(data.session))
-
-
-def _better(one: Screening, other: Screening) -> Screening:
-    """The linear model that explains the readings as given better."""
-    gain = other.as_given().log_evidence - one.as_given().log_evidence
-    return other if gain > 0.0 else one
 
 
 def _settles(one: Explanation, nothing: Explanation | None) -> bool:
@@ -506,8 +501,9 @@ def _evidence(solution: Fit) -> tuple[Fit, float]:
 
 def _drop_outliers(solution: Fit) -> tuple[Fit, float]:
     """The fit without outliers, where there are few, and the log density of these."""
-    session = solution.session
-    if not _has_few_far(solution):
+    session, sizes = solution.session, np.abs(solution.residual)
+    is_far = sizes > 4.5 * float(np.median(sizes)) / MEDIAN_SIZE
+    if not 0.0 < float(is_far.mean()) <= MAX_GROSS_SHARE:
         return solution, 0.0
     result = find_outliers(session, np.empty(0, dtype=np.intp))
     if result is None or result.exhausted or not result.far:
@@ -516,12 +512,6 @@ def _drop_outliers(solution: Fit) -> tuple[Fit, float]:
     values = np.flatnonzero(np.isin(session.reading_of_value, far))
     choices = len(far) * float(np.log(1 + session.reading_of_value[-1]))
     return result.rest, log_density_of_any(Suspect(session), values) - choices
-
-
-def _has_few_far(solution: Fit) -> bool:
-    sizes = np.abs(solution.residual)
-    far = sizes > 4.5 * float(np.median(sizes)) / MEDIAN_SIZE
-    return 0.0 < float(far.mean()) <= MAX_GROSS_SHARE
 
 
 def _log_missing(data: Suspect, trial: MistakeTrial) -> float:

@@ -343,23 +343,20 @@ def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolut
         blocks = precision[places_of_sets[:, :, None], places_of_sets[:, None, :]]
         inverse = np.linalg.inv(blocks)
         shift = np.einsum("sij,sj->si", inverse, gradient)
+        # 1 over the diagonal of a block at least
+        least = 1.0 / np.einsum("sii->si", blocks)
+        variances = np.maximum(np.einsum("sii->si", inverse), least)
         solutions.append(
             SetSolutions(
                 sets=names[sets],
                 values=chosen[places_of_sets],
                 shift=shift,
-                sd=np.sqrt(_variances(blocks, inverse)),
+                sd=np.sqrt(variances),
                 gain=np.maximum(np.einsum("si,si->s", gradient, shift), 0.0),
                 log_determinant=np.linalg.slogdet(blocks)[1],
             )
         )
     return solutions
-
-
-def _variances(blocks: Array, inverse: Array) -> Array:
-    """Diagonals (S, k) of inverses of blocks (S, k, k): 1 over the block's at least."""
-    least = 1.0 / np.einsum("sii->si", blocks)
-    return np.asarray(np.maximum(np.einsum("sii->si", inverse), least))
 
 
 LOCATED_ODDS = 100.0  #: posterior odds from which a reading is located

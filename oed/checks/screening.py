@@ -281,7 +281,10 @@ def log_evidence(
     scales = scales_of_noise(linear.residual)
     alone = _log_marginal(linear, linear.slopes, laws, weights, scales)
     terms = [float(np.log(NO_RIVAL_PROBABILITY)) + alone]
-    few = _few(laws, weights)
+    # a rival stands for what the less likely laws hold
+    best = np.argsort(-weights)[:4]
+    few_weights = weights[best] - scipy.special.logsumexp(weights[best])
+    few = laws.take(best), few_weights
     rivalling = rivals(session) if with_rivals else []
     for rival in rivalling:
         log_share = float(np.log(RIVAL_PROBABILITY / len(rivalling)))
@@ -339,13 +342,6 @@ def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
     u = np.array(list(itertools.product(*axes)))
     log_prior = -0.5 * (u**2).sum(axis=1)
     return prior.laws(u), log_prior - scipy.special.logsumexp(log_prior)
-
-
-def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
-    """The likeliest of some laws: a rival stands for what the others hold."""
-    best = np.argsort(-weights)[:4]
-    some = laws.take([int(k) for k in best])
-    return some, weights[best] - scipy.special.logsumexp(weights[best])
 
 
 def _log_marginal(

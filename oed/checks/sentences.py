@@ -297,10 +297,9 @@ def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFin
     ranked = values[np.argsort(-size[values], kind="stable")]
     first = int(ranked[0])
     channel = str(session.values["channel"].iloc[first])
-    lower, upper = (
-        session.written(channel, float(end[first]))
-        for end in (ranges.lower, ranges.upper)
-    )
+    middle, half = ranges.middle[first], ranges.factor * ranges.sd[first]
+    ends = float(middle - half), float(middle + half)
+    lower, upper = (session.written(channel, end) for end in ends)
     rows = tuple(sorted({session.values["row"].iloc[k] for k in values}))
     lie = "lies" if len(rows) == 1 else "lie"
     sentence = (

@@ -274,14 +274,10 @@ def session_readings(
     if covariates is not None:
         if "row" in covariates:
             values["row"] = named_rows(covariates)[number]
-        for name in filter(_is_used, covariates.columns):
-            values[name] = covariates[name].to_numpy()[number]
+        for name in covariates.columns:
+            if name == "order" or ReadingsColumn.from_covariate(name) is not None:
+                values[name] = covariates[name].to_numpy()[number]
     return plain
-
-
-def _is_used(name: str) -> bool:
-    """Whether checks look at a column of the covariates."""
-    return name == "order" or ReadingsColumn.from_covariate(name) is not None
 
 
 # Predicted range of every reading under the tolerances and the stated noise.
@@ -306,16 +302,6 @@ class Ranges:
     middle: Array  #: (N,) mean of the prediction
     sd: Array  #: (N,) its standard deviation, noise included
     factor: float  #: half width of a range in standard deviations
-
-    @property
-    def lower(self) -> Array:
-        """Lower ends (N,)."""
-        return self.middle - self.factor * self.sd
-
-    @property
-    def upper(self) -> Array:
-        """Upper ends (N,)."""
-        return self.middle + self.factor * self.sd
 
     def outside(self, y: Array) -> Index:
         """Values, by number, that lie outside."""

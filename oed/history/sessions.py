@@ -164,12 +164,6 @@ def likelihood(
     return root, mean / np.sqrt(values * (1.0 - values))
 
 
-def _determined_span(roots: Sequence[Array]) -> Array:
-    """Basis (n, q) of what all sessions together determine to a tolerance or better."""
-    _, singular, right = np.linalg.svd(np.vstack(roots), full_matrices=False)
-    return right[singular >= 1.0].T
-
-
 def _reduced(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
     """Root (k, q) and estimates (k,) within a span (n, q), without what says nothing."""
     vectors, singular, right = np.linalg.svd(root @ span, full_matrices=False)
@@ -204,7 +198,10 @@ class ParameterChange:
         elapsed = (times - np.max(times)) / span_of_time
         nominal, tolerance = sessions.nominal, sessions.tolerance
         parts = [likelihood(s, nominal, tolerance) for s in sessions.posteriors]
-        span = _determined_span([root for root, _ in parts])
+        # what all sessions together determine to a tolerance or better
+        roots = np.vstack([root for root, _ in parts])
+        _, singular, right = np.linalg.svd(roots, full_matrices=False)
+        span = right[singular >= 1.0].T
         rows = [_reduced(root, t, span) for root, t in parts]
         level = np.vstack([root for root, _ in rows])
         slopes = [s * root for s, (root, _) in zip(elapsed, rows, strict=True)]

@@ -248,14 +248,10 @@ class SharedProducts:
         """Prepare columns U (N, K); `starts` (S,) of the segments."""
         self._columns, self._starts = columns, starts
         #: (S, K, K) products U^T U of each segment
-        self.inner = self._products(columns)
+        self.inner = np.array([u.T @ u for u, _ in self._pairs(columns)])
         unit = np.eye(columns.shape[1])
         #: log determinant of the covariance
         self.log_det = float(np.linalg.slogdet(unit + self.inner)[1].sum())
-
-    def _products(self, values: Array) -> Array:
-        """U^T Y (S, K, m) of each segment, for Y (N, m)."""
-        return np.array([u.T @ y for u, y in self._pairs(values)])
 
     def root(self) -> Array:
         """V (N, K) with (I + U U^T)^-1 = I - V V^T within each segment."""

@@ -143,7 +143,9 @@ class NoisePrior:
     def laws(self, u: Array) -> Laws:
         """Laws at coordinates (L, d); parts that are not in the model are 0."""
         of_name = dict(zip(self.names, u.T, strict=True))
-        nothing = np.zeros(len(u))
+        nothing, statement = np.zeros(len(u)), self.statement
+        reach = of_name.get(self.REACH, nothing)
+        reach_sd = REACH_SD if statement.reach is None else STATED_REACH_SD
 
         def size(name: str) -> Array:
             if name not in of_name:
@@ -160,7 +162,7 @@ class NoisePrior:
             correlated=self._share(of_name[self.CORRELATED])
             if self.CORRELATED in of_name
             else nothing,
-            reach=self._reach(of_name.get(self.REACH, nothing)),
+            reach=statement.reach_median * np.exp(reach_sd * reach),
             level=size(self.RUN),
             seat=size(self.SEAT),
             stated_level=factor(self.STATED_RUN),
@@ -198,11 +200,6 @@ class NoisePrior:
             middle = scipy.special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
             share = scipy.special.expit(middle + STATED_SHARE_SD * u)
         return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
-
-    def _reach(self, u: Array) -> Array:
-        """Reach (L,) of the correlation, in readings."""
-        sd = REACH_SD if self.statement.reach is None else STATED_REACH_SD
-        return self.statement.reach_median * np.exp(sd * u)
 
     def starts(self) -> Array:
         """Coordinates (s, d) from which the most probable law is sought.
