@@ -22,14 +22,15 @@ call: 100,000 pairs last 14 and 10 times as long. coal also lacks wheels for Win
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import casadi as ca
 import numpy as np
 
 from oed.base import Array, Mask
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism import BatchedFunction, Kinematics, symbols
+from oed.mechanism import BatchedFunction
 
 Point3 = tuple[float, float, float]
 #: sine^2 of the angle between two segments below which they count as parallel
@@ -107,101 +108,70 @@ class Surroundings:
             )
 
 
-class Skeleton:
-    """The lines of a machine's skeleton as segments, over many poses at once."""
-
-    def __init__(
-        self, kinematics: Kinematics, tool: Sequence[float], ignore: Sequence[int] = ()
-    ) -> None:
-        machine = kinematics.machine
-        if machine.skeleton is None:
-            raise ValueError(
-                f"{machine.name} has no skeleton: its links cannot be checked"
-            )
-        x, xs = symbols("x", machine.pose)
-        q, qs = symbols("q", machine.joints)
-        p, ps = symbols("p", machine.parameters)
-        lines = [list(line) for line in machine.skeleton(xs, qs, ps)]
-        unknown = set(ignore) - set(range(len(lines)))
-        if unknown:
-            raise ValueError(
-                f"{machine.name}: its skeleton has lines 0 to {len(lines) - 1}, not"
-                f" {sorted(unknown)}"
-            )
-        if any(tool):  # a longer tool than the skeleton's
-            rotation, point = machine.platform(xs)
-            lines.append([point, point + rotation @ ca.DM(list(tool))])
-        checked = [line for i, line in enumerate(lines) if i not in ignore]
-        pairs = [pair for line in checked for pair in itertools.pairwise(line)]
-        self._count = len(pairs)
-        ends = ca.vertcat(*[ca.vertcat(ca.vec(a), ca.vec(b)) for a, b in pairs])
-        self._ends = BatchedFunction("skeleton_ends", [x, q, p], [ends])
-
-    def segments(self, x: Array, q: Array, p: Array) -> Array:
-        """Segments (n, k, 2, 3) of poses x (n, nx) with joints q (n, nq), m."""
-        return self._ends(x, q, p)[0].reshape(len(x), self._count, 2, 3)
+#: settings that tell where the other end of an instrument is
+CUP_SETTINGS = ("at_x", "at_y", "at_z")
 
 
-def cup_position(
-    measurement: Measurement, setup: str, cup: Sequence[float] | None = None
-) -> Array:
+def has_cup(setup: Setup) -> bool:
+    """Whether a set-up states where the other end of its instrument is."""
+    return setup.teach is not None or setup.settings.keys() >= {*CUP_SETTINGS}
+
+
+def cup_position(measurement: Measurement, setup: str) -> Array:
     """Where the bar of a set-up is held (3,), base frame, m.
 
-    That is `cup` if given, else its place settings at_x, at_y, at_z, else the tool
-    point at its teach pose. Raises ValueError where none of these is known.
+    That is at its place settings, else the tool point at its teach pose. Raises ValueError
+    where neither is known.
     """
-    if cup is not None:
-        return np.asarray(cup, dtype=float)
     mounted = measurement.setups[setup]
-    if {"at_x", "at_y", "at_z"} <= set(mounted.settings):
-        return np.array([mounted.settings[f"at_{axis}"] for axis in "xyz"])
-    if mounted.teach is None:
+    if not has_cup(mounted):
         raise ValueError(
             f"set-up {setup}: {mounted.instrument.name} does not state where its other"
-            " end is: give its cup"
+            " end is: its bar and cones cannot be checked"
         )
+    if mounted.settings.keys() >= {*CUP_SETTINGS}:
+        return np.array([mounted.settings[name] for name in CUP_SETTINGS])
     tool = np.array(mounted.tool)
     x, _ = measurement.kinematics.inverse(np.array(mounted.teach)[None], None, tool)
     return np.asarray(measurement.kinematics.frames(x, tool)[1][0])
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Links:
-    """The machine's links: lines of its skeleton, and their radius, m."""
-
-    skeleton: Skeleton
-    radius: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Bar:
-    """The bar: where it is held (3,), base frame, and its radius, m."""
-
-    cup: Array
-    radius: float
 
 
 class Clearance:
     """Clearance of one set-up on the nominal machine."""
 
     def __init__(
-        self,
-        measurement: Measurement,
-        setup: str,
-        surroundings: Surroundings,
-        cup: Sequence[float] | None = None,
+        self, measurement: Measurement, setup: str, surroundings: Surroundings
     ) -> None:
         self._measurement, self._surroundings = measurement, surroundings
-        tool = measurement.setups[setup].tool
-        self._tool = np.array(tool)
-        self._links: _Links | None = None
+        self._tool = np.array(measurement.setups[setup].tool)
         if surroundings.links is not None:
-            skeleton = Skeleton(measurement.kinematics, tool, surroundings.ignore)
-            self._links = _Links(skeleton, surroundings.links)
-        self._bar: _Bar | None = None
+            self._links = self._link_function()
         if surroundings.bar is not None:
-            cup_point = cup_position(measurement, setup, cup)
-            self._bar = _Bar(cup_point, surroundings.bar)
+            self._cup = cup_position(measurement, setup)
+
+    def _link_function(self) -> BatchedFunction:
+        """Both ends of the lines of the machine's skeleton, one column an end."""
+        kinematics, ignore = self._measurement.kinematics, self._surroundings.ignore
+        machine, e = kinematics.machine, kinematics.expressions
+        if machine.skeleton is None:
+            raise ValueError(
+                f"{machine.name} has no skeleton: its links cannot be checked"
+            )
+        drawn = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
+        lines = [list(line) for line in drawn]
+        unknown = set(ignore) - set(range(len(lines)))
+        if unknown:
+            raise ValueError(
+                f"{machine.name}: its skeleton has lines 0 to {len(lines) - 1}, not"
+                f" {sorted(unknown)}"
+            )
+        if self._tool.any():  # a longer tool than the skeleton's
+            _, point = machine.platform(e.x_by_name)
+            lines.append([point, point + e.rotation @ ca.DM(self._tool)])
+        checked = [line for i, line in enumerate(lines) if i not in ignore]
+        pairs = [pair for line in checked for pair in itertools.pairwise(line)]
+        ends = ca.horzcat(*itertools.chain(*pairs))
+        return BatchedFunction("link_ends", [e.x, e.q, e.p], [ends])
 
     def pose_clearance(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,), m, at x (n, nx), q (n, nq), with the bar or without."""
@@ -215,27 +185,26 @@ class Clearance:
 
     def at_readings(self, series: Series, x: Array) -> Array:
         """Clearance (N,), m, of readings at x (m, nx); no bar at references."""
-        without_bar = np.full(len(x), np.inf)
-        if self._links is not None:
-            without_bar = self.pose_clearance(x, series.q, bar=False)
+        without_bar = self.pose_clearance(x, series.q, bar=False)
         read = series.index[:, 0]
         with_bar = self.pose_clearance(x[read], series.q[read])
         others = without_bar[series.index].min(axis=1)
         return np.asarray(np.minimum(with_bar, others))
 
-    def _segments(self, x: Array, q: Array, bar: bool = True) -> tuple[Array, Array]:
+    def _segments(self, x: Array, q: Array, bar: bool) -> tuple[Array, Array]:
         """Moving segments (n, k, 2, 3) and their radii (k,)."""
         parts, radii = [np.empty((len(x), 0, 2, 3))], [np.empty(0)]
-        nominal = self._measurement.machine.nominal
-        if self._links is not None:
-            links = self._links.skeleton.segments(x, q, nominal)
+        moving = self._surroundings
+        if moving.links is not None:
+            ends = self._links(x, q, self._measurement.machine.nominal)[0]
+            links = ends.swapaxes(1, 2).reshape(len(x), -1, 2, 3)
             parts.append(links)
-            radii.append(np.full(links.shape[1], self._links.radius))
-        if bar and self._bar is not None:
+            radii.append(np.full(links.shape[1], moving.links))
+        if bar and moving.bar is not None:
             tip = self._measurement.kinematics.frames(x, self._tool)[1]
-            cup = np.broadcast_to(self._bar.cup, tip.shape)
+            cup = np.broadcast_to(self._cup, tip.shape)
             parts.append(np.stack([cup, tip], axis=1)[:, None])
-            radii.append(np.array([self._bar.radius]))
+            radii.append(np.array([moving.bar]))
         return np.concatenate(parts, axis=1), np.concatenate(radii)
 
 
@@ -270,67 +239,27 @@ class ReadingLimits:
     singularity: float | None = None
     #: largest distance of the nominal reading from the value held
     travel: float | None = None
-    held: float | None = None  #: that value, where the instrument does not define it
     #: directions of the line from the cup to the tool point, base frame
     base_cone: DirectionCone | None = None
     #: directions of the line from the tool point to the cup, platform frame
     platform_cone: DirectionCone | None = None
-    #: (3,) other end of the line, base frame; None: from the set-up
-    #: (`clearance.cup_position`)
-    cup: Point3 | None = None
     #: obstacles, and what must stay clear of them
     surroundings: Surroundings | None = None
 
-    @classmethod
-    def for_setup(
-        cls,
-        measurement: Measurement,
-        setup: str,
-        *,
-        joints: Mapping[str, tuple[float, float]],
-        singularity: float | None,
-        travel: float | None,
-        cup_cone: tuple[Point3, float] | None,
-        tool_cone: tuple[Point3, float] | None,
-        obstacles: Sequence[tuple[Point3, Point3, float]],
-        links: float | None,
-        bar: float | None,
-        margin: float,
-        ignore: Sequence[int],
-    ) -> "ReadingLimits":
-        """Those limits that apply to a set-up; lengths m, angles rad.
-
-        Cones and bar count where the set-up has a cup, the travel where its instrument
-        holds a reading.
-
-        cup_cone, tool_cone  axis and half angle
-        obstacles            start, end and radius of each capsule
+    def for_setup(self, setup: Setup) -> "ReadingLimits":
+        """Those that apply to a set-up: cones and bar where it has a cup, the travel
+        where its instrument holds a reading.
         """
-        mounted = measurement.setups[setup]
-        at_cup = {"at_x", "at_y", "at_z"} <= {*mounted.settings}
-        has_cup = mounted.teach is not None or at_cup
-        moving_bar = bar if has_cup else None
-        cup, surroundings = None, None
-        if has_cup:
-            x, y, z = cup_position(measurement, setup).tolist()
-            cup = x, y, z
-        if obstacles and (links is not None or moving_bar is not None):
-            surroundings = Surroundings(
-                obstacles=tuple(Capsule(*obstacle) for obstacle in obstacles),
-                links=links,
-                bar=moving_bar,
-                margin=margin,
-                ignore=tuple(ignore),
-            )
-        holds = mounted.instrument.fixed_reading is not None
-        return cls(
-            joints=joints,
-            singularity=singularity,
-            travel=travel if holds else None,
-            base_cone=DirectionCone(*cup_cone) if has_cup and cup_cone else None,
-            platform_cone=DirectionCone(*tool_cone) if has_cup and tool_cone else None,
-            cup=cup,
-            surroundings=surroundings,
+        limits, about = self, self.surroundings
+        if setup.instrument.fixed_reading is None:
+            limits = dataclasses.replace(limits, travel=None)
+        if has_cup(setup):
+            return limits
+        if about is not None and about.bar is not None:
+            links_alone = about.links is not None
+            about = dataclasses.replace(about, bar=None) if links_alone else None
+        return dataclasses.replace(
+            limits, base_cone=None, platform_cone=None, surroundings=about
         )
 
     def check(self, measurement: Measurement, series: Series) -> "Feasibility":
@@ -350,21 +279,18 @@ class ReadingLimits:
             too_near = details["singularity"] < self.singularity
             refused["are too near a singular pose"] = too_near
         if self.travel is not None:
-            held_value = _held_value(measurement, series, self.held)
+            held_value = _held_value(measurement, series)
             readings = measurement.expected_readings(series)
-            distance = np.abs(
-                _first_channel(measurement, series, readings) - held_value
-            )
-            details["travel"] = distance
+            first = _first_channel(measurement, series, readings)
+            details["travel"] = distance = np.abs(first - held_value)
             refused["leave the travel of the instrument"] = distance > self.travel
         for name, angle, cone, reason in _cone_angles(measurement, series, x, self):
             details[name] = angle
             refused[reason] = angle > cone.half_angle
         if self.surroundings is not None:
-            surroundings = self.surroundings
-            clearance = Clearance(measurement, series.setup, surroundings, self.cup)
+            clearance = Clearance(measurement, series.setup, self.surroundings)
             details["clearance"] = clearance.at_readings(series, x)
-            too_near = details["clearance"] < surroundings.margin
+            too_near = details["clearance"] < self.surroundings.margin
             refused["come too near an obstacle"] = too_near
         refused = {reason: mask for reason, mask in refused.items() if mask.any()}
         nobody = np.zeros(len(series), dtype=bool)
@@ -387,7 +313,7 @@ class ReadingLimits:
                 f"the covariance must be {len(theta)} x {len(theta)}, not of shape"
                 f" {covariance.shape}"
             )
-        held_value = _held_value(measurement, series, self.held)
+        held_value = _held_value(measurement, series)
         readings = measurement.readings([series], theta)
         error = _first_channel(measurement, series, readings) - held_value
         jacobian = measurement.jacobian([series], theta)
@@ -449,17 +375,10 @@ def _outside_joints(
         yield f"leave the travel of joint {joint.name}", refused
 
 
-def _held_value(
-    measurement: Measurement, series: Series, held_reading: float | None
-) -> float:
-    if held_reading is not None:
-        return held_reading
+def _held_value(measurement: Measurement, series: Series) -> float:
     setup = measurement.setups[series.setup]
     if setup.instrument.fixed_reading is None:
-        raise ValueError(
-            f"{setup.instrument.name} holds no reading by design: state the value that"
-            " its travel is about"
-        )
+        raise ValueError(f"{setup.instrument.name} holds no reading by design")
     return float(setup.instrument.fixed_reading(setup.settings))
 
 
@@ -475,7 +394,7 @@ def _cone_angles(
     if limits.base_cone is None and limits.platform_cone is None:
         return
     setup = measurement.setups[series.setup]
-    cup = cup_position(measurement, series.setup, limits.cup)
+    cup = cup_position(measurement, series.setup)
     poses = x[series.index[:, 0]]
     rotation, tip, _ = measurement.kinematics.frames(poses, np.array(setup.tool))
     if limits.base_cone is not None:

@@ -6,7 +6,7 @@ import importlib.util
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from oed.base import Array, Index, Mask
 from oed.design import CRITERIA, QuotaSet
 from oed.measurement import Measurement, Series
 from oed.model import Machine
-from oed.poses import ReadingLimits
+from oed.poses import Capsule, DirectionCone, ReadingLimits, Surroundings
 from oed.text import suggest
 from pkm_studies import quantities
 from pkm_studies.base import Location
@@ -90,7 +90,7 @@ def _limits(
     table: LimitsTable, measurement: Measurement, name: str, location: Location
 ) -> ReadingLimits:
     """The limits that apply to a set-up. Raises InputError for a cone without an axis."""
-    cones: list[tuple[Point, float] | None] = []
+    cones: list[DirectionCone | None] = []
     for key, cone in (("cup_cone", table.cup_cone), ("tool_cone", table.tool_cone)):
         if cone is None:
             cones.append(None)
@@ -100,33 +100,41 @@ def _limits(
                 "a cone needs an axis that is not zero",
                 "give a direction, as [0, 0, 1]",
             )
-        cones.append((cone.axis, math.radians(cone.half_angle_deg)))
+        cones.append(DirectionCone(cone.axis, math.radians(cone.half_angle_deg)))
+    base_cone, platform_cone = cones
+    limits = ReadingLimits(
+        joints=_joint_ranges(table, measurement, location.key("joints")),
+        singularity=table.singularity,
+        travel=_metres(table.travel_mm),
+        base_cone=base_cone,
+        platform_cone=platform_cone,
+        surroundings=_surroundings(table, location),
+    )
+    return limits.for_setup(measurement.setups[name])
+
+
+def _surroundings(table: LimitsTable, location: Location) -> Surroundings | None:
+    """Obstacles and what moves between them; None without obstacles."""
     obstacles = []
     for sphere in table.spheres:
         centre = _metres_of(sphere.at_mm)
-        obstacles.append((centre, centre, _metres(sphere.radius_mm)))
+        obstacles.append(Capsule(centre, centre, _metres(sphere.radius_mm)))
     for rod in table.rods:
         start, end = _metres_of(rod.from_mm), _metres_of(rod.to_mm)
-        obstacles.append((start, end, _metres(rod.radius_mm)))
-    if obstacles and table.links_mm is None and table.bar_mm is None:
+        obstacles.append(Capsule(start, end, _metres(rod.radius_mm)))
+    if not obstacles:
+        return None
+    if table.links_mm is None and table.bar_mm is None:
         raise location.error(
             "obstacles are given, but nothing that moves near them",
             "give links_mm, bar_mm or both",
         )
-    cup_cone, tool_cone = cones
-    return ReadingLimits.for_setup(
-        measurement,
-        name,
-        joints=_joint_ranges(table, measurement, location.key("joints")),
-        singularity=table.singularity,
-        travel=None if table.travel_mm is None else _metres(table.travel_mm),
-        cup_cone=cup_cone,
-        tool_cone=tool_cone,
-        obstacles=obstacles,
-        links=None if table.links_mm is None else _metres(table.links_mm),
-        bar=None if table.bar_mm is None else _metres(table.bar_mm),
+    return Surroundings(
+        obstacles=tuple(obstacles),
+        links=_metres(table.links_mm),
+        bar=_metres(table.bar_mm),
         margin=_metres(table.margin_mm),
-        ignore=table.ignore,
+        ignore=tuple(table.ignore),
     )
 
 
@@ -142,8 +150,12 @@ def _joint_ranges(
     return ranges
 
 
-def _metres(mm: float) -> float:
-    return float(units.to_si(mm, "mm"))
+@overload
+def _metres(mm: float) -> float: ...
+@overload
+def _metres(mm: float | None) -> float | None: ...
+def _metres(mm: float | None) -> float | None:
+    return None if mm is None else float(units.to_si(mm, "mm"))
 
 
 def _metres_of(mm: Point) -> Point:

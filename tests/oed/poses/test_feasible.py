@@ -1,5 +1,7 @@
 """Which candidates can be taken: the oracles' geometry, sampling, virtual machines."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
@@ -12,7 +14,7 @@ from kernel.cases import CASES
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.poses import ReadingLimits
-from oed.poses.feasible import DirectionCone
+from oed.poses.feasible import DirectionCone, Surroundings, sphere
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng):
@@ -67,11 +69,6 @@ def test_travel_of_the_bar_about_its_length(rng):
     assert feasibility.details["travel"] == pytest.approx(off, abs=1e-13)
     assert (feasibility.allowed == (off <= 0.2)).all()
     assert 0 < feasibility.allowed.sum() < 200
-    other = ReadingLimits(travel=0.2, held=0.5).check(m, series)
-    assert (
-        other.allowed
-        == (np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - 0.5) <= 0.2)
-    ).all()
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(ValueError, match="height_probe holds no reading by design"):
         ReadingLimits(travel=0.1).check(probe, probe.series("probe", command))
@@ -117,13 +114,14 @@ def test_a_known_machine_stays_within_the_travel_or_not(rng):
 
 def test_the_first_channel_has_the_travel(rng):
     """RM 5 reads dy and dz from the first pose of a line: only dy has the travel."""
-    m = Measurement(planar_2dof.machine, [mount(relative.rm5, "rm5")])
+    holding = dataclasses.replace(relative.rm5, fixed_reading=lambda settings: 0.0)
+    m = Measurement(planar_2dof.machine, [mount(holding, "rm5")])
     assert len(m.setups["rm5"].sigma) == 2
     series = m.series("rm5", places(rng, 12), run=["line"] * 12)
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
-    feasibility = ReadingLimits(travel=0.5, held=0.0).check(m, series)
+    feasibility = ReadingLimits(travel=0.5).check(m, series)
     assert feasibility.details["travel"] == pytest.approx(np.abs(first))
-    chance = ReadingLimits(travel=0.5, held=0.0).travel_probability(
+    chance = ReadingLimits(travel=0.5).travel_probability(
         m, series, np.zeros((len(m.names),) * 2)
     )
     assert (chance == feasibility.allowed).all()
@@ -170,19 +168,24 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng):
     }
 
 
-@pytest.mark.parametrize("given", [True, False])
-def test_a_cup_that_is_given_wins(rng, given):
+def test_cones_hold_for_set_ups_with_a_cup(rng):
     m, command, series = planar_series(rng)
-    cup = np.array([0.0, -1.0, -1.0]) if given else CUP
     limits = ReadingLimits(
-        base_cone=DirectionCone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None
+        base_cone=DirectionCone((0.0, 0.0, 1.0), 0.7),
+        travel=0.2,
+        surroundings=Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), bar=0.01),
     )
-    expected = angle(tips(command) - cup, np.array([0.0, 0.0, 1.0]))
+    expected = angle(tips(command) - CUP, np.array([0.0, 0.0, 1.0]))
     feasibility = limits.check(m, series)
     assert feasibility.details["base_cone"] == pytest.approx(expected, abs=1e-7)
+    assert limits.for_setup(m.setups["bar"]) == limits
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
-    if not given:
-        with pytest.raises(ValueError, match="give its cup"):
-            limits.check(probe, probe.series("probe", command))
+    of_probe = limits.for_setup(probe.setups["probe"])
+    assert of_probe == ReadingLimits()
+    assert of_probe.check(probe, probe.series("probe", command)).allowed.all()
+    with pytest.raises(ValueError, match="does not state where its other end is"):
+        dataclasses.replace(limits, travel=None).check(
+            probe, probe.series("probe", command)
+        )
     with pytest.raises(ValueError, match="axis that is not zero"):
         DirectionCone((0.0, 0.0, 0.0), 1.0)
