@@ -18,7 +18,6 @@ programming along the path (Prins 2004, Comput. Oper. Res. 31, 1985-2002, sectio
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -26,134 +25,57 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 
 TIME_TOLERANCE = 1e-12  #: relative tolerance of the longest time
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Schedule:
-    """Readings in time."""
-
-    pose: Index  #: (m,) pose of each reading, -1 at the thermal reference
-    begins: Array  #: (m,) when each reading begins, s
-    seconds: float  #: until the last reading ends
-
-    @property
-    def reference(self) -> Mask:
-        """Which readings (m,) are of the thermal reference."""
-        return self.pose < 0
-
-
 def interleave(
-    path: "Route",
-    reading: ArrayLike,
-    every: float,
-    to_reference: Array,
-    from_reference: Array,
-    reference_reading: float,
-    begin: float = 0.0,
-) -> Schedule:
+    path: "Route", reading: float, every: float, travel: Array, begin: float
+) -> tuple[Index, float]:
     """The path with reference readings first, last, and at most `every` seconds apart.
 
     The time counts from the end of one reference reading to the begin of the next.
 
-    path               whose lengths are seconds; runs are not broken up
-    reading            (n,) seconds a reading by pose number, or one number
-    to_reference       (n,) seconds from each pose to the reference pose
-    from_reference     (n,) seconds from the reference pose
-    reference_reading  seconds of a reference reading
-    begin              when the machine stands at the reference
+    path     whose lengths are seconds; runs are not broken up
+    reading  seconds of each reading
+    travel   (n,) seconds between each pose and the reference pose
+    begin    when the machine stands at the reference
 
+    Returns the pose of each reading, -1 at the reference, and when the last one ends.
     Raises ValueError where a run alone takes longer than `every`.
     """
-    by_pose = np.broadcast_to(np.asarray(reading, dtype=float), path.indices.shape)
-    timed = _TimedPath(
-        path,
-        by_pose[path.indices],
-        from_reference[path.indices],
-        to_reference[path.indices],
-        reference_reading,
-    )
-    return timed.schedule(timed.stretches(every), begin)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _TimedPath:
-    """A path with the seconds of each place."""
-
-    path: "Route"
-    reading: Array  #: (n,) of the readings
-    out: Array  #: (n,) from the reference
-    back: Array  #: (n,) to the reference
-    reference_reading: float
-
-    @functools.cached_property
-    def ends(self) -> Array:
-        """When each reading ends (n,), from the begin of the first move of the path."""
-        return np.cumsum(self.path.steps + self.reading)
-
-    def stretches(self, every: float) -> list[tuple[int, int]]:
-        """Places (first, last + 1) between two reference readings, of least travel."""
-        edges = self._run_edges()
-        longest = every * (1.0 + TIME_TOLERANCE)
-        least = np.full(len(edges), np.inf)
-        least[0] = 0.0
-        origin = np.zeros(len(edges), dtype=np.intp)
-        for b in range(1, len(edges)):
-            for a in range(b - 1, -1, -1):
-                first, end = edges[a], edges[b]
-                until_first = self.out[first] + self.reading[first]
-                until_last = until_first + self.ends[end - 1] - self.ends[first]
-                seconds = float(until_last + self.back[end - 1])
-                if seconds > longest:
-                    if a == b - 1:
-                        self._raise_too_long(edges[a], seconds, every)
-                    continue
-                total = least[a] + seconds + self.reference_reading
-                if total < least[b]:
-                    least[b], origin[b] = total, a
-        stretches = []
-        b = len(edges) - 1
-        while b > 0:
-            stretches.append((int(edges[origin[b]]), int(edges[b])))
-            b = int(origin[b])
-        return stretches[::-1]
-
-    def _run_edges(self) -> Index:
-        """First place of each run, and the number of places."""
-        run = self.path.run
-        count = len(self.reading)
-        if not count:
-            return np.zeros(1, np.intp)
-        starts = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
-        return np.append(starts, count)
-
-    def _raise_too_long(self, first: int, seconds: float, every: float) -> None:
-        raise ValueError(
-            f"the run of pose {self.path.indices[first]} takes {seconds:.6g} s with the"
-            f" way from and to the reference, longer than {every:.6g} s: read the"
-            " reference less often, or break the run up"
-        )
-
-    def schedule(self, stretches: list[tuple[int, int]], begin: float) -> Schedule:
-        """All readings in time."""
-        pose, begins = [-1], [begin]
-        clock = begin + self.reference_reading
-        for first, end in stretches:
-            for position in range(first, end):
-                move = self.out if position == first else self.path.steps
-                clock += float(move[position])
-                pose.append(int(self.path.indices[position]))
-                begins.append(clock)
-                clock += float(self.reading[position])
-            clock += float(self.back[end - 1])
-            pose.append(-1)
-            begins.append(clock)
-            clock += self.reference_reading
-        return Schedule(np.array(pose, dtype=np.intp), np.array(begins), clock)
+    beside = travel[path.indices]
+    ends = np.cumsum(path.steps + reading)
+    edges = np.append(np.flatnonzero(np.diff(path.run, prepend=-1)), len(ends))
+    longest = every * (1.0 + TIME_TOLERANCE)
+    least = np.full(len(edges), np.inf)
+    least[0] = begin + reading
+    origin = np.zeros(len(edges), dtype=np.intp)
+    for b in range(1, len(edges)):
+        for a in reversed(range(b)):
+            first, last = edges[a], edges[b] - 1
+            inside = reading + ends[last] - ends[first]
+            seconds = float(beside[first] + inside + beside[last])
+            if seconds > longest:
+                if a == b - 1:
+                    raise ValueError(
+                        f"the run of pose {path.indices[first]} takes {seconds:.6g} s with"
+                        f" the way from and to the reference, longer than {every:.6g} s:"
+                        " read the reference less often, or break the run up"
+                    )
+                continue
+            total = least[a] + seconds + reading
+            if total < least[b]:
+                least[b], origin[b] = total, a
+    cuts = [len(ends)]
+    b = len(edges) - 1
+    while b > 0:
+        b = int(origin[b])
+        cuts.append(int(edges[b]))
+    return np.insert(path.indices, cuts[::-1], -1), float(least[-1])
 
 
 #: settings that tell where an instrument stands
@@ -172,9 +94,7 @@ def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
     )
 
 
-def travel_between(
-    measurement: Measurement, series: Series, speeds: ArrayLike
-) -> Array:
+def travel_between(series: Series, speeds: ArrayLike) -> Array:
     """Seconds (n, n) between n readings' poses, by joints of speeds (nq,), or one."""
     joints = series.q[series.index[:, 0]]
     return travel_times(joints, joints, speeds)
@@ -202,7 +122,7 @@ class ChangeTimes:
     ) -> tuple[list[str], float]:
         """Names of set-ups in the order of least re-mounting, and the time for that, s."""
         costs, first = remounting(setups, self)
-        route = order_setups(costs, rng, first)
+        route = order_poses(costs, rng, first)
         return [setups[k].name for k in route.indices], route.length
 
 
@@ -278,10 +198,6 @@ def order_poses(
     """
     n = len(distance)
     members = [[i] for i in range(n)] if runs is None else [list(run) for run in runs]
-    _check(distance, start, members)
-    if n == 0:
-        nothing = np.zeros(0, np.intp)
-        return Route(nothing, nothing, np.zeros(0), 0.0, True)
     lengths = np.asarray(distance, dtype=float)
     states = RunStates.of(lengths, start, members, reversible)
     exact = len(members) <= MAX_EXACT_RUNS
@@ -299,39 +215,6 @@ def order_poses(
     run_lengths = [len(states.members[s]) for s in tour]
     run = np.repeat(states.run[tour], run_lengths)
     return Route(indices, run, steps, length, exact)
-
-
-def order_setups(
-    costs: Array, rng: np.random.Generator, first: Array | None = None
-) -> Route:
-    """The order of set-ups with the least time to re-mount.
-
-    costs (S, S) of changing from one to another, first (S,) of mounting each on the
-    bare machine (`oed.poses.order.remounting`); inf where it is impossible.
-    """
-    return order_poses(costs, rng, start=first)
-
-
-def _check(distance: Array, start: Array | None, members: list[list[int]]) -> None:
-    n = len(distance)
-    if np.shape(distance) != (n, n):
-        raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")
-    if start is not None and np.shape(start) != (n,):
-        raise ValueError(
-            f"start must give one length for each of {n} poses, not be of shape {np.shape(start)}"
-        )
-    off_diagonal = distance[~np.eye(n, dtype=bool)]
-    first = np.zeros(0) if start is None else start
-    for lengths in (off_diagonal, first):
-        if np.isnan(lengths).any() or (lengths < 0.0).any():
-            raise ValueError(
-                "lengths must be numbers, not negative; inf forbids a move"
-            )
-    poses = sorted(pose for run in members for pose in run)
-    if poses != list(range(n)) or not all(members):
-        raise ValueError(
-            f"runs must hold each of the poses 0 to {n - 1} once, and none may be empty"
-        )
 
 
 # -- the shortest path -----------------------------------------------------------------
@@ -575,7 +458,7 @@ class ReadingOrder:
         speeds      of the joints, SI
         keeps_runs  whether runs keep their own order and direction
         """
-        distance = travel_between(measurement, series, speeds)
+        distance = travel_between(series, speeds)
         start = travel_from_home(measurement, series, speeds) if from_home else None
         path = order_poses(
             distance,
@@ -624,12 +507,10 @@ class ReadingOrder:
         begin = 0.0
         if self.from_home:
             begin = float(travel_from_home(self.measurement, reference, self.speeds)[0])
-        timed = interleave(
-            self.path, self.reading, every, travel, travel, self.reading, begin
-        )
-        planned = [command if k < 0 else commands[k] for k in timed.pose]
-        runs = [REFERENCE_RUN if k < 0 else str(self.series.run[k]) for k in timed.pose]
-        return self.measurement.series(setup, np.array(planned), runs), timed.seconds
+        poses, seconds = interleave(self.path, self.reading, every, travel, begin)
+        planned = [command if k < 0 else commands[k] for k in poses]
+        runs = [REFERENCE_RUN if k < 0 else str(self.series.run[k]) for k in poses]
+        return self.measurement.series(setup, np.array(planned), runs), seconds
 
 
 def _kicks(count: int) -> int:

@@ -23,19 +23,19 @@ def replay(pose, move, reading):
 @pytest.mark.parametrize("seed", range(6))
 def test_reference_readings_cost_the_least_of_all_ways_to_place_them(seed, with_runs):
     rng = np.random.default_rng(seed)
-    distance, to_reference, from_reference = problem(seed, 8)
-    reading, stay = rng.uniform(0.5, 1.5, 8), 2.0
+    distance, travel, _ = problem(seed, 8)
+    reading, begin = float(rng.uniform(0.5, 1.5)), 3.0
     runs = [[0, 1, 2], [3], [4, 5], [6], [7]] if with_runs else None
-    path = order.order_poses(distance, rng, start=from_reference, runs=runs)
-    every = 6.5
+    path = order.order_poses(distance, rng, start=travel, runs=runs)
+    every = 7.5
 
     def move(a: int, b: int) -> float:
         if a < 0 or b < 0:
-            return float(from_reference[b] if a < 0 else to_reference[a])
+            return float(travel[b] if a < 0 else travel[a])
         return float(distance[a, b])
 
     def takes(a: int) -> float:
-        return stay if a < 0 else float(reading[a])
+        return reading
 
     best = np.inf
     for count in range(8):
@@ -45,27 +45,25 @@ def test_reference_readings_cost_the_least_of_all_ways_to_place_them(seed, with_
             pose = np.concatenate([[-1], np.insert(path.indices, cuts, -1), [-1]])
             begins = np.array(replay(pose, move, takes))
             marks = begins[pose < 0]
-            if (marks[1:] - (marks[:-1] + stay) <= every).all():
-                best = min(best, begins[-1] + stay)
-    timed = order.interleave(path, reading, every, to_reference, from_reference, stay)
-    assert timed.seconds == pytest.approx(best)
-    assert timed.begins == pytest.approx(replay(timed.pose, move, takes))
-    assert timed.pose[timed.pose >= 0].tolist() == path.indices.tolist()
-    assert timed.reference[[0, -1]].all()
-    assert 3 <= timed.reference.sum() < 9
+            if (marks[1:] - (marks[:-1] + reading) <= every).all():
+                best = min(best, begins[-1] + reading)
+    pose, seconds = order.interleave(path, reading, every, travel, begin)
+    assert seconds == pytest.approx(begin + best)
+    assert seconds == pytest.approx(begin + replay(pose, move, takes)[-1] + reading)
+    assert pose[pose >= 0].tolist() == path.indices.tolist()
+    assert (pose[[0, -1]] == -1).all()
+    assert 3 <= (pose < 0).sum() < 9
     with pytest.raises(
         ValueError, match="longer than 1 s: read the reference less often"
     ):
-        order.interleave(path, reading, 1.0, to_reference, from_reference, stay)
+        order.interleave(path, reading, 1.0, travel, begin)
 
 
 def test_without_need_the_reference_is_read_first_and_last_alone():
     path = order.order_poses(plane(1, 20), np.random.default_rng(0))
-    timed = order.interleave(
-        path, 6.0, 1e6, np.full(20, 3.0), np.full(20, 2.0), 10.0, begin=100.0
-    )
-    assert timed.pose.tolist() == [-1, *path.indices, -1]
-    assert timed.seconds == pytest.approx(100 + 10 + 2 + path.length + 20 * 6 + 3 + 10)
+    pose, seconds = order.interleave(path, 6.0, 1e6, np.full(20, 3.0), 100.0)
+    assert pose.tolist() == [-1, *path.indices, -1]
+    assert seconds == pytest.approx(100 + 6 + 3 + path.length + 20 * 6 + 3 + 6)
 
 
 def test_set_ups_are_ordered_with_least_remounting():
@@ -88,7 +86,7 @@ def test_set_ups_are_ordered_with_least_remounting():
     assert costs[0, 8] == calliper.instrument.cost.setup
     assert costs[7, 8] == calliper.instrument.cost.setup + 600.0
     assert (np.diag(costs) == 0.0).all()
-    path = order.order_setups(costs, np.random.default_rng(0), first)
+    path = order.order_poses(costs, np.random.default_rng(0), first)
     bars = ball_bar.free_cup.cost.setup
     # tool once, cup once with each tool, bar once at each cup and tool
     assert path.length == pytest.approx(
@@ -111,5 +109,5 @@ def test_taught_set_ups_move_with_their_teach_pose():
 def test_orders_of_set_ups_are_the_cheapest_of_all_permutations():
     for seed in range(6):
         costs, first, _ = problem(seed, 6)
-        path = order.order_setups(costs, np.random.default_rng(0), first)
+        path = order.order_poses(costs, np.random.default_rng(0), first)
         assert path.length == pytest.approx(shortest(costs, first, np.zeros(6)))
