@@ -41,13 +41,6 @@ class ForwardKinematics:
         return BatchedFunction("slopes", inputs, slopes)
 
     @functools.cached_property
-    def pose_and_parameter_slopes(self) -> BatchedFunction:
-        """Slopes (n, nx, nx) and (n, nx, np) of the equations."""
-        e = self._expressions
-        slopes = [ca.jacobian(e.balance, over) for over in (e.x, e.p)]
-        return BatchedFunction("pose_and_parameter_slopes", [e.x, e.q, e.p], slopes)
-
-    @functools.cached_property
     def adjoint(self) -> BatchedFunction:
         """Slope (n, nx, nx) over the pose, factors (n, nx) times that over p."""
         e = self._expressions

@@ -40,114 +40,6 @@ STEP_TOLERANCE = 1e-12  #: step that ends them, m or rad
 TARGET_TOLERANCE = 1e-9
 
 
-def corrected_commands(
-    kinematics: "Kinematics", command: Array, parameters: Array, tool: Array
-) -> Array:
-    """Commands (n, n_dof) that make a controller with the nominal model hold `command`.
-
-    parameters  (np,) of the real machine, SI
-
-    Where the machine is redundant, the joints that hold `command` belong to no command of
-    the nominal model: poses, joints and command are sought together. Where a coordinate
-    has no meaning (the direction of a tilt of zero), the command nearest to the given one
-    is returned; joints have no such poses. Raises
-    AssemblyError, also where no command is found.
-    """
-    nominal = kinematics.machine.nominal
-    x, q = kinematics.inverse(command, nominal, tool)
-    nx = x.shape[1]
-    equations = _compensated_equations(kinematics.machine)
-    longest = newton.longest_step(kinematics.machine.lever)
-
-    def solve(z: Array, p: Array, rows: Index) -> tuple[Array, Mask]:
-        def unmet(values: Array, entries: Index) -> list[Array]:
-            return equations(values, p, command[rows[entries]], tool)
-
-        return newton.solve(unmet, z, limited=2 * nx, longest=longest)
-
-    z = np.hstack([x, x, q])
-    start = z.copy()
-    missed = np.ones(len(x), dtype=bool)
-    for steps in (1, *PATH_STEPS):
-        rows = np.flatnonzero(missed)
-        followed = start[rows]
-        lost = np.zeros(rows.size, dtype=bool)
-        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            p = nominal + share * (parameters - nominal)
-            followed, failed = solve(followed, p, rows)
-            lost |= failed
-        z[rows], missed[rows] = followed, lost
-    if missed.any():
-        poses = np.flatnonzero(missed)
-        raise AssemblyError(
-            f"{kinematics.machine.name}: no command of the nominal model was found that"
-            f" holds pose numbers {listed(poses)} at these parameters; give the"
-            " controller the parameters, or corrections of its joints",
-            poses,
-        )
-    return command_of_pose(kinematics, z[:, nx : 2 * nx], command, tool)
-
-
-def _compensated_equations(machine: Machine) -> BatchedFunction:
-    """Equations of a machine over its real pose, the pose that a controller of the
-    nominal model means, and the joints, and their slopes; inputs are parameters,
-    commands, tool.
-    """
-    e = machine_expressions(machine)
-    believed = ca.SX.sym("believed", e.x.numel())
-    nominal = ca.SX(ca.DM(machine.nominal))
-    (controller,) = ca.substitute([e.phi], [e.x, e.p], [believed, nominal])
-    pairs = zip(e.commanded, e.target, strict=True)
-    off = [of_pose - of_command for of_pose, of_command in pairs]
-    unmet = ca.vertcat(e.balance, controller, *off)
-    z = ca.vertcat(e.x, believed, e.q)
-    outputs = [unmet, ca.jacobian(unmet, z)]
-    return BatchedFunction("compensated", [z, e.p, e.c, e.tool], outputs)
-
-
-def command_of_pose(
-    kinematics: "Kinematics", pose: Array, start: Array, tool: Array
-) -> Array:
-    """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton.
-
-    Raises AssemblyError where no such command is found.
-    """
-    e = machine_expressions(kinematics.machine)
-    target = ca.vertcat(*e.target)
-    of_pose = BatchedFunction("of_pose", [e.x, e.tool], [ca.vertcat(*e.commanded)])
-    of_command = BatchedFunction(
-        "of_command", [e.c], [target, ca.jacobian(target, e.c)]
-    )
-    goal = of_pose(pose, tool)[0]
-    command = np.array(start, dtype=float)
-    value, jacobian = of_command(command)
-    off = np.linalg.norm(goal - value, axis=1)
-    for _ in range(MAX_STEPS):
-        step = np.linalg.pinv(jacobian, rcond=1e-9) @ (goal - value)[:, :, None]
-        share = np.ones((len(command), 1))
-        # near a tilt of zero a whole step turns its direction too far
-        for _ in range(MAX_HALVINGS):
-            value, jacobian = of_command(command + share * step[:, :, 0])
-            remaining = np.linalg.norm(goal - value, axis=1)
-            worse = remaining > off + STEP_TOLERANCE
-            if not worse.any():
-                break
-            share[worse] /= 2.0
-        command += share * step[:, :, 0]
-        off = remaining
-        if np.abs(step).max() < STEP_TOLERANCE:
-            break
-    # not the last step: a coordinate that has no meaning may go on turning at the target
-    poses = np.flatnonzero(off > TARGET_TOLERANCE)
-    if poses.size:
-        raise AssemblyError(
-            f"{kinematics.machine.name}: no command was found whose target is that of"
-            f" pose numbers {listed(poses)}",
-            poses,
-        )
-    return command
-
-
 #: steps in which joints without a command are followed from the home pose
 HOMING_STEPS = 20
 FINER_HOMING_STEPS = 400  #: the same, where the first steps are too long
@@ -195,7 +87,8 @@ class Kinematics:
         slope = ca.jacobian(components, twist)
         self._components = BatchedFunction("components", [e.c, twist], [components])
         self._components_slope = BatchedFunction("components_slope", [e.c], [slope])
-        self._struts = _strut_function(machine, e)
+        ends = strut_ends(machine, e)
+        self._struts = ends and BatchedFunction("struts", [e.x, e.q, e.p], ends)
         self._skeleton = _skeleton_functions(machine, e)
 
     def with_priors_of(self, machine: Machine) -> "Kinematics":
@@ -250,18 +143,90 @@ class Kinematics:
     def corrected_commands(
         self, command: Array, parameters: Array, tool: Array | None = None
     ) -> Array:
-        """Commands (n, n_dof) that make a nominal controller hold `command` (n, n_dof).
+        """Commands (n, n_dof) that make a controller with the nominal model hold `command`.
 
         parameters  (np,) of the real machine, SI
 
-        Raises AssemblyError; see `oed.mechanism.kinematics`.
+        Where the machine is redundant, the joints that hold `command` belong to no command of
+        the nominal model: poses, joints and command are sought together. Where a coordinate
+        has no meaning (the direction of a tilt of zero), the command nearest to the given one
+        is returned; joints have no such poses. Raises
+        AssemblyError, also where no command is found.
         """
+        nominal = self.machine.nominal
         tool = np.zeros(3) if tool is None else tool
-        return corrected_commands(self, command, parameters, tool)
+        x, q = self.inverse(command, nominal, tool)
+        nx = x.shape[1]
+        equations = _compensated_equations(self.machine, self.expressions)
+        longest = newton.longest_step(self.machine.lever)
+
+        def solve(z: Array, p: Array, rows: Index) -> tuple[Array, Mask]:
+            def unmet(values: Array, entries: Index) -> list[Array]:
+                return equations(values, p, command[rows[entries]], tool)
+
+            return newton.solve(unmet, z, limited=2 * nx, longest=longest)
+
+        z = np.hstack([x, x, q])
+        start = z.copy()
+        missed = np.ones(len(x), dtype=bool)
+        for steps in (1, *PATH_STEPS):
+            rows = np.flatnonzero(missed)
+            followed = start[rows]
+            lost = np.zeros(rows.size, dtype=bool)
+            for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+                p = nominal + share * (parameters - nominal)
+                followed, failed = solve(followed, p, rows)
+                lost |= failed
+            z[rows], missed[rows] = followed, lost
+        if missed.any():
+            poses = np.flatnonzero(missed)
+            raise AssemblyError(
+                f"{self.machine.name}: no command of the nominal model was found that"
+                f" holds pose numbers {listed(poses)} at these parameters; give the"
+                " controller the parameters, or corrections of its joints",
+                poses,
+            )
+        return self.command_of_pose(z[:, nx : 2 * nx], command, tool)
 
     def command_of_pose(self, pose: Array, start: Array, tool: Array) -> Array:
-        """Command (n, n_dof) of poses (n, nx), near commands to start from (n, n_dof)."""
-        return command_of_pose(self, pose, start, tool)
+        """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton.
+
+        Raises AssemblyError where no such command is found.
+        """
+        e = self.expressions
+        target = ca.vertcat(*e.target)
+        of_pose = BatchedFunction("of_pose", [e.x, e.tool], [ca.vertcat(*e.commanded)])
+        of_command = BatchedFunction(
+            "of_command", [e.c], [target, ca.jacobian(target, e.c)]
+        )
+        goal = of_pose(pose, tool)[0]
+        command = np.array(start, dtype=float)
+        value, jacobian = of_command(command)
+        off = np.linalg.norm(goal - value, axis=1)
+        for _ in range(MAX_STEPS):
+            step = np.linalg.pinv(jacobian, rcond=1e-9) @ (goal - value)[:, :, None]
+            share = np.ones((len(command), 1))
+            # near a tilt of zero a whole step turns its direction too far
+            for _ in range(MAX_HALVINGS):
+                value, jacobian = of_command(command + share * step[:, :, 0])
+                remaining = np.linalg.norm(goal - value, axis=1)
+                worse = remaining > off + STEP_TOLERANCE
+                if not worse.any():
+                    break
+                share[worse] /= 2.0
+            command += share * step[:, :, 0]
+            off = remaining
+            if np.abs(step).max() < STEP_TOLERANCE:
+                break
+        # not the last step: a coordinate that has no meaning may go on turning at the target
+        poses = np.flatnonzero(off > TARGET_TOLERANCE)
+        if poses.size:
+            raise AssemblyError(
+                f"{self.machine.name}: no command was found whose target is that of"
+                f" pose numbers {listed(poses)}",
+                poses,
+            )
+        return command
 
     @property
     def home_mode(self) -> Array:
@@ -319,7 +284,7 @@ class Kinematics:
 
     def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
         """As `forward`, with one parameter vector a pose: p (n, np), result (n, nx)."""
-        x, failed = self.try_forward_per_pose(q, p, start)
+        x, failed = self.equations.solve((start, q, p), newton.STEP_TOLERANCE)
         if failed.any():
             poses = np.flatnonzero(failed)
             raise AssemblyError(
@@ -329,12 +294,6 @@ class Kinematics:
                 poses,
             )
         return x
-
-    def try_forward_per_pose(
-        self, q: Array, p: Array, start: Array
-    ) -> tuple[Array, Mask]:
-        """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
-        return self.equations.solve((start, q, p), newton.STEP_TOLERANCE)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.
@@ -431,11 +390,20 @@ class Kinematics:
         return [line(*point)[0][0].T for line in self._skeleton]
 
 
-def _strut_function(machine: Machine, e: MachineExpressions) -> BatchedFunction | None:
-    ends = strut_ends(machine, e)
-    if ends is None:
-        return None
-    return BatchedFunction("struts", [e.x, e.q, e.p], ends)
+def _compensated_equations(machine: Machine, e: MachineExpressions) -> BatchedFunction:
+    """Equations of a machine over its real pose, the pose that a controller of the
+    nominal model means, and the joints, and their slopes; inputs are parameters,
+    commands, tool.
+    """
+    believed = ca.SX.sym("believed", e.x.numel())
+    nominal = ca.SX(ca.DM(machine.nominal))
+    (controller,) = ca.substitute([e.phi], [e.x, e.p], [believed, nominal])
+    pairs = zip(e.commanded, e.target, strict=True)
+    off = [of_pose - of_command for of_pose, of_command in pairs]
+    unmet = ca.vertcat(e.balance, controller, *off)
+    z = ca.vertcat(e.x, believed, e.q)
+    outputs = [unmet, ca.jacobian(unmet, z)]
+    return BatchedFunction("compensated", [z, e.p, e.c, e.tool], outputs)
 
 
 def _skeleton_functions(

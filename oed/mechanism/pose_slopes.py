@@ -74,7 +74,7 @@ class PoseSlopes:
         self, x: Array, q: Array, p: Array
     ) -> tuple[Array, Array]:
         """dx/dp (n, nx, np), joints fixed, and |phi_x| |phi_x^-1| (n,)."""
-        by_x, by_p = self._equations.pose_and_parameter_slopes(x, q, p)
+        by_x, by_p, _ = self._equations.slopes(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         inverse = newton.solve_linear(by_x, identity)
         norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2

@@ -118,7 +118,7 @@ class PolishProgram:
             name: self._add_setup(start.measurement.setups[name], variables[name])
             for name in variables
         }
-        self._pose = reading_plan.symbolic_pose(self.machine)
+        self._pose = reading_plan.symbolic_pose(start.measurement.kinematics)
         self._shift = tool_shift(start.measurement)
         self._series = [self._add_series(series) for series in start.series]
 

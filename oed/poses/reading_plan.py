@@ -26,7 +26,7 @@ from oed.base import Array
 from oed.identifiability import Scaling, column_scale
 from oed.instrument import Frame, Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism import MachineFrame, symbols
+from oed.mechanism import Kinematics, MachineFrame, symbols
 from oed.model import Machine
 
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
@@ -56,27 +56,20 @@ class SymbolicReading:
     value: Any  #: -> channels (k,)
 
 
-def symbolic_pose(machine: Machine) -> SymbolicPose:
+def symbolic_pose(kinematics: Kinematics) -> SymbolicPose:
     """Equations of one pose at nominal parameters."""
-    x, xs = symbols("x", machine.pose)
-    q, qs = symbols("q", machine.joints)
-    c, cs = symbols("c", machine.command)
-    p, ps = symbols("p", machine.parameters)
-    tool = ca.SX.sym("tool", 3)
-    phi = ca.vertcat(*machine.closure(xs, qs, ps))
-    rotation, point = machine.platform(xs)
-    reached = machine.commanded(xs, point + rotation @ tool)
-    target = machine.target(cs)
-    errors = [a - b for a, b in zip(reached, target, strict=True)]
-    equations = ca.vertcat(phi, ca.vertcat(*errors))
-    residual, phi_x = _nominal_values(machine, p, equations, ca.jacobian(phi, x))
+    machine, e = kinematics.machine, kinematics.expressions
+    errors = [a - b for a, b in zip(e.commanded, e.target, strict=True)]
+    equations = ca.vertcat(e.phi, *errors)
+    slope = ca.jacobian(e.phi, e.x)
+    residual, phi_x = _nominal_values(machine, e.p, equations, slope)
     levers = [1.0 if item.unit == "rad" else machine.lever for item in machine.pose]
     determinant: Any = ca.SX(0, 1)
     if phi_x.shape[0] == phi_x.shape[1]:
         determinant = ca.det(phi_x @ ca.diag(ca.DM(levers)))
     return SymbolicPose(
-        ca.Function("residual", [x, q, c, tool], [residual], CASADI_OPTIONS),
-        ca.Function("determinant", [x, q], [determinant], CASADI_OPTIONS),
+        ca.Function("residual", [e.x, e.q, e.c, e.tool], [residual], CASADI_OPTIONS),
+        ca.Function("determinant", [e.x, e.q], [determinant], CASADI_OPTIONS),
     )
 
 
@@ -225,9 +218,9 @@ def move_to_commands(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPla
 
 def home_determinant(measurement: Measurement) -> float:
     """det phi_x at home, with its sign; not for redundant machines."""
-    machine = measurement.machine
-    x, q = measurement.kinematics.inverse(machine.home_command)
-    return float(symbolic_pose(machine).determinant(x[0], q[0]))
+    kinematics = measurement.kinematics
+    x, q = kinematics.inverse(kinematics.machine.home_command)
+    return float(symbolic_pose(kinematics).determinant(x[0], q[0]))
 
 
 # -- readings that the instrument holds ------------------------------------------------
@@ -347,7 +340,7 @@ def _singularity_fault(
     plan: ReadingPlan, series: Series, clearance: float
 ) -> str | None:
     """Poses too near to a singular one."""
-    determinant = symbolic_pose(plan.measurement.machine).determinant
+    determinant = symbolic_pose(plan.measurement.kinematics).determinant
     values = determinant.map(len(series.q))(series.start.T, series.q.T)
     determinants = np.asarray(values, dtype=float).ravel()
     if not determinants.size:

@@ -36,7 +36,7 @@ CIRCLES = a3_plans.circles(BAR, 6)
 
 # -- slopes and poses ------------------------------------------------------------------
 def test_equations_of_a_pose_hold_at_the_oracles_joints():
-    pose = symbolic_pose(planar_2dof.machine)
+    pose = symbolic_pose(PLANAR.kinematics)
     for command in COMMAND:
         q = planar_geometry.inverse(command)
         zero = np.asarray(pose.residual(command, q, command, np.zeros(3)))
@@ -47,7 +47,7 @@ def test_equations_of_a_pose_hold_at_the_oracles_joints():
 
 def test_the_determinant_is_that_of_the_struts_directions():
     """Rows of phi_x are unit vectors along the struts, over the lever squared."""
-    pose, lever = symbolic_pose(planar_2dof.machine), planar_2dof.machine.lever
+    pose, lever = symbolic_pose(PLANAR.kinematics), planar_2dof.machine.lever
     for command in COMMAND:
         q = planar_geometry.inverse(command)
         struts = command - planar_geometry.sliders(q, planar_geometry.NOMINAL)
