@@ -21,7 +21,6 @@ phase_along_runs      phase of each pose along its run
 prepare               the problem of readings, at parameters that are fitted to them
 propose_second_visit  the second visit that a diagnosis calls for
 settle                readings linearised where effects act
-signature             an effect's signature in the readings of all series
 states                a state a series, over all its poses
 untestable            why readings cannot test an effect
 """
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
         assemble,
         exact_readings,
         prepare,
-        signature,
         untestable,
     )
     from oed.gap.data.state import DOWN, phase_along_runs, states

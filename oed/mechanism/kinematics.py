@@ -88,7 +88,9 @@ class Kinematics:
         self._components = BatchedFunction("components", [e.c, twist], [components])
         self._components_slope = BatchedFunction("components_slope", [e.c], [slope])
         ends = strut_ends(machine, e)
-        self._struts = ends and BatchedFunction("struts", [e.x, e.q, e.p], ends)
+        self._struts: BatchedFunction | None = None
+        if ends is not None:
+            self._struts = BatchedFunction("struts", [e.x, e.q, e.p], ends)
         self._skeleton = _skeleton_functions(machine, e)
 
     def with_priors_of(self, machine: Machine) -> "Kinematics":

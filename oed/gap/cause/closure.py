@@ -184,17 +184,22 @@ def closure(
     """
     several = [columns] if isinstance(columns, np.ndarray) else list(columns)
     models = [np.hstack([problem.slopes, model]) for model in several]
-    noise = RunNoise(problem, law)
+    factor = law.factor(problem.structure)
     n = problem.slopes.shape[1]
-    residual = problem.residual
-    scored = [noise.score(np.column_stack([model, residual])) for model in models]
-    pairs = zip(models, scored, strict=True)
-    informations = [noise.information(model, values) for model, values in pairs]
+    standard = factor.errors.standardise(problem.residual[:, None])
+    scored, informations = [], []
+    for model in models:
+        slopes = factor.errors.standardise(model)
+        values = factor.scored(np.hstack([slopes, standard]))
+        product = slopes.T @ values
+        scored.append(values)
+        informations.append((product[:, :-1] + np.eye(len(product)), product[:, -1]))
 
     def predict(rows: Index) -> tuple[Array, Array]:
         errors, log_evidences, parts = [], [], []
-        innovations = noise.innovations(rows, scored)
-        for white, information in zip(innovations, informations, strict=True):
+        held_out = factor.hold_out(rows)
+        for values, information in zip(scored, informations, strict=True):
+            white = held_out.innovations(values)
             mean, log_evidence = learn(information, white)
             errors.append(white[:, -1] - white[:, :-1] @ mean)
             log_evidences.append(log_evidence)
@@ -254,27 +259,6 @@ def _score(
 
 
 # -- prediction of held-out readings ---------------------------------------------------
-class RunNoise:
-    """Noise of the runs: innovations of held-out readings given the others of a run."""
-
-    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._factor = law.factor(problem.structure)
-
-    def score(self, values: Array) -> Array:
-        """The noise's precision times values (N, k), for `innovations`."""
-        return self._factor.scored(self._factor.errors.standardise(values))
-
-    def information(self, slopes: Array, scored: Array) -> Information:
-        """Information on slopes (N, n), prior N(0, I); `scored` (N, n + 1)."""
-        product = self._factor.errors.standardise(slopes).T @ scored
-        return product[:, :-1] + np.eye(len(product)), product[:, -1]
-
-    def innovations(self, rows: Index, scored: Sequence[Array]) -> list[Array]:
-        """Innovations (h, .) of readings held out, each given the others of its run."""
-        held_out = self._factor.hold_out(rows)
-        return [held_out.innovations(values) for values in scored]
-
-
 def learn(information: Information, white: Array) -> tuple[Array, float]:
     """Mean (n,) of the coefficients from the training readings, and log evidence.
 

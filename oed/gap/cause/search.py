@@ -138,9 +138,6 @@ Selected = Sequence[tuple[Index, float]]
 _NO_COLUMNS = np.empty(0, dtype=np.intp)
 #: how large an unknown may be, against the noise
 REMAINDER_SIZES = UNKNOWN_SIZES.values
-#: columns of a process from which its axes are found once for all sets of effects: an
-#: update for a few directions costs less than axes of so many columns
-MIN_AXES = 24
 
 
 class FormProducts:
@@ -202,16 +199,6 @@ class FormProducts:
         """
         return self.remainders.log_evidences(alone, *self._taken(selected))
 
-    def best_remainder(self, alone: Grams, selected: Selected) -> "Remainder":
-        """The best process and size; arguments as of `log_remainders`."""
-        table = self.log_remainders(alone, selected)
-        row, column = np.unravel_index(int(np.argmax(table)), table.shape)
-        return Remainder(
-            process=int(row),
-            size=float(REMAINDER_SIZES[column]),
-            log_evidence=float(np.logaddexp.reduce(table, axis=None)),
-        )
-
     def _with_processes(self, columns: Index) -> Array:
         """Products (k, P) of the columns of a form with all processes' columns."""
         key = columns.tobytes()
@@ -272,15 +259,6 @@ class FormProducts:
         self._cross.clear()
 
 
-@dataclasses.dataclass(frozen=True)
-class Remainder:
-    """The best process of an unknown remainder."""
-
-    process: int  #: its number
-    size: float  #: its size
-    log_evidence: float  #: of a remainder over none, over all processes and sizes
-
-
 class Remainders:
     """The processes that an unknown remainder may be, under one noise law."""
 
@@ -294,14 +272,11 @@ class Remainders:
         """
         self.products = products
         self._columns = [atom.columns for atom in processes.atoms]
-        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d), and how to solve these
-        self._groups = []
-        for numbers, rows in evidence.group_by_count(self._columns):
-            blocks = np.array([products.grams[k] for k in numbers])
-            axes = None
-            if rows.shape[1] >= MIN_AXES:
-                axes = evidence.GramAxes.of(blocks, self._least(rows))
-            self._groups.append((numbers, rows, blocks, axes))
+        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
+        self._groups = [
+            (numbers, rows, np.array([products.grams[k] for k in numbers]))
+            for numbers, rows in evidence.group_by_count(self._columns)
+        ]
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         energy = energies(products.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
@@ -310,11 +285,6 @@ class Remainders:
 
     def __len__(self) -> int:
         return len(self._columns)
-
-    def _least(self, rows: Index) -> Array:
-        """Energies (a,) of directions of columns (a, d) up to which they are rounding."""
-        largest = self.products.whole[rows].max(axis=1)
-        return np.asarray(evidence.ENERGY_TOLERANCE * largest)
 
     def log_evidences(self, alone: Grams, taken: Array, projected: Array) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -325,17 +295,12 @@ class Remainders:
         projected   (k,) with the residual
         """
         table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
-        for numbers, rows, blocks, axes in self._groups:
-            b, over = self.products.b[rows], taken[:, rows]
-            if axes is None:
-                gram, b = evidence.left_beside(blocks, b, over, projected)
-                gain, log_det = evidence.explained_energy(
-                    gram, b, REMAINDER_SIZES, self._least(rows)
-                )
-            else:
-                gain, log_det = axes.explained_beside(
-                    b, over, projected, REMAINDER_SIZES
-                )
+        products = self.products
+        for numbers, rows, blocks in self._groups:
+            over = taken[:, rows]
+            gram, b = evidence.left_beside(blocks, products.b[rows], over, projected)
+            least = evidence.ENERGY_TOLERANCE * products.whole[rows].max(axis=1)
+            gain, log_det = evidence.explained_energy(gram, b, REMAINDER_SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
         return np.asarray(table + self.log_prior)
 
@@ -549,13 +514,15 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        remainder = self._forms.best_remainder(*self._selected(h))
+        table = self._forms.log_remainders(*self._selected(h))
+        process, size = np.unravel_index(int(np.argmax(table)), table.shape)
+        over_none = float(np.logaddexp.reduce(table, axis=None))
         return dataclasses.replace(
             h,
             unknown=True,
-            process=remainder.process,
-            process_size=remainder.size,
-            log_evidence=h.log_evidence + remainder.log_evidence,
+            process=int(process),
+            process_size=float(REMAINDER_SIZES[size]),
+            log_evidence=h.log_evidence + over_none,
             log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
         )
 

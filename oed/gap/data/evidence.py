@@ -219,44 +219,6 @@ def explained_energy(
     )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class GramAxes:
-    """Axes of Gram matrices A of d columns: of many sets of effects, few directions differ."""
-
-    energy: Array  #: (a, d) of each axis; 0 of those that are rounding
-    axes: Array  #: (a, d, d) columns; 0 where they are rounding
-
-    @classmethod
-    def of(cls, gram: Array, least: Array) -> "GramAxes":
-        """Of Gram matrices (a, d, d); directions of less energy than `least` are none."""
-        energy, axes = np.linalg.eigh(gram)
-        clear = energy > least[:, None]
-        return cls(np.where(clear, energy, 0.0), axes * clear[:, None])
-
-    def explained_beside(
-        self, b: Array, taken: Array, projected: Array, sizes: Array
-    ) -> tuple[Array, Array]:
-        """As `explained_energy` of what directions leave (`left_beside`), (a, sizes).
-
-        With W = (1 / t^2 + A)^-1 and T (k, d) taken, by Woodbury,
-
-            (1 / t^2 + A - T^T T)^-1 = W + W T^T (1 - T W T^T)^-1 T W.
-        """
-        over = taken.transpose(1, 0, 2)
-        along = (b - projected @ over)[:, None] @ self.axes
-        over = (over @ self.axes)[:, None]
-        variance = (sizes**2)[:, None]
-        inflation = 1.0 + variance * self.energy[:, None]
-        weight = (variance / inflation)[:, :, None]
-        left = np.eye(over.shape[2]) - (over * weight) @ over.swapaxes(2, 3)
-        between = ((over * weight) @ along[..., None]).squeeze(-1)
-        _, log_det = np.linalg.slogdet(left)
-        gain = (weight.squeeze(2) * along**2).sum(axis=-1)
-        solved = np.linalg.solve(left, between[..., None]).squeeze(-1)
-        gain += (between * solved).sum(axis=-1)
-        return gain, np.log(inflation).sum(axis=-1) + log_det
-
-
 class WhitenedColumns:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams.
 

@@ -66,55 +66,6 @@ class Signature:
         return columns
 
 
-def signature(
-    effect: Effect,
-    constants: Mapping[str, float],
-    states: Sequence[State],
-    responses: Sequence[Response],
-    measurement: Measurement,
-    series: Sequence[Series],
-    sigma: Array | None = None,
-    *,
-    textbook: bool = False,
-) -> Signature:
-    """The effect's signature in the readings of all series, at its `constants`.
-
-    sigma       (N,) noise of the readings, SI; the measurement's by default
-    textbook    leave out the columns that only let the form adapt
-    """
-    counts = [int(np.prod(response.nuisances.shape[:2])) for response in responses]
-    ends = np.cumsum([0, *counts])
-    columns: dict[str, Column] = {}
-    values: dict[str, Array] = {}
-    parts = zip(states, responses, series, strict=True)
-    for k, (state, response, s) in enumerate(parts):
-        rows = slice(ends[k], ends[k + 1])
-        for column in effect.columns(state, **constants):
-            if textbook and column.shape:
-                continue
-            name = column.name
-            if name not in values:
-                columns[name] = column
-                values[name] = np.zeros(ends[-1])
-            if columns[name].label != column.label:  # set-ups share it: it is of none
-                columns[name] = dataclasses.replace(columns[name], label="")
-            change = _read(column, response, measurement, s)
-            values[name][rows] += column.scale * change
-    sigma = measurement.sigma(series) if sigma is None else sigma
-    names = [n for n, v in values.items() if np.linalg.norm(v / sigma) > MIN_NORM]
-    table = np.array([values[n] for n in names]).reshape(len(names), ends[-1]).T
-    return Signature(
-        effect=effect.name,
-        constants=dict(constants),
-        columns=table,
-        names=tuple(names),
-        labels=tuple(columns[n].label for n in names),
-        scales=np.array([columns[n].scale for n in names]),
-        shape=np.array([columns[n].shape for n in names], dtype=bool),
-        textbook=effect.textbook_share,
-    )
-
-
 def _read(
     column: Column, response: Response, measurement: Measurement, series: Series
 ) -> Array:
@@ -301,16 +252,43 @@ class GapProblem:
     def signature(
         self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False
     ) -> Signature:
-        """An effect's signature at its constants, SI, whole or `textbook`."""
-        return signature(
-            effect,
-            constants,
-            self.states,
-            self.responses,
-            self.measurement,
-            self.series,
-            self.sigma,
-            textbook=textbook,
+        """The effect's signature in the readings of all series, at its constants, SI;
+        `textbook` without the columns that only let the form adapt.
+        """
+        series, responses = self.series, self.responses
+        counts = [int(np.prod(response.nuisances.shape[:2])) for response in responses]
+        ends = np.cumsum([0, *counts])
+        columns: dict[str, Column] = {}
+        values: dict[str, Array] = {}
+        parts = zip(self.states, responses, series, strict=True)
+        for k, (state, response, s) in enumerate(parts):
+            rows = slice(ends[k], ends[k + 1])
+            for column in effect.columns(state, **constants):
+                if textbook and column.shape:
+                    continue
+                name = column.name
+                if name not in values:
+                    columns[name] = column
+                    values[name] = np.zeros(ends[-1])
+                if (
+                    columns[name].label != column.label
+                ):  # set-ups share it: it is of none
+                    columns[name] = dataclasses.replace(columns[name], label="")
+                change = _read(column, response, self.measurement, s)
+                values[name][rows] += column.scale * change
+        names = [
+            n for n, v in values.items() if np.linalg.norm(v / self.sigma) > MIN_NORM
+        ]
+        table = np.array([values[n] for n in names]).reshape(len(names), ends[-1]).T
+        return Signature(
+            effect=effect.name,
+            constants=dict(constants),
+            columns=table,
+            names=tuple(names),
+            labels=tuple(columns[n].label for n in names),
+            scales=np.array([columns[n].scale for n in names]),
+            shape=np.array([columns[n].shape for n in names], dtype=bool),
+            textbook=effect.textbook_share,
         )
 
     def noise_units(self, values: Array) -> Array:

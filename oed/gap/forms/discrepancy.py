@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import pandas as pd
 
 from oed.base import Array, Index, field_modes
 from oed.gap.data.columns import Block, Columns
@@ -62,57 +61,34 @@ def part_in_words(label: str) -> str:
 
 
 def carriers_of(problem: GapProblem) -> tuple[Carrier, ...]:
-    """The readings, the joints, the tool's place and the tool's length."""
-    slopes = _joint_slopes(problem)
+    """The readings, the joints, the tool's place, and the tool along its own axis, as of
+    a spindle that warms.
+    """
+    slopes, states = _joint_slopes(problem), problem.states
+    pushing = values_of_poses(problem, [s.joints_per_displacement for s in states])
+    growth = values_of_poses(problem, [s.joints_per_extension for s in states])
+    place = np.einsum("nqj,njqk->nkj", slopes, pushing)
+    length = np.einsum("nqj,njq->nj", slopes, growth)[:, None]
+    legs = tuple(f"leg {i + 1}" for i in states[0].limbs)
     return (
         readings(problem),
-        _joints(problem, slopes),
-        _tool(problem, slopes),
-        _tool_length(problem, slopes),
+        Carrier(JOINTS, _scaled(slopes), legs),
+        Carrier("the tool", _scaled(place), ("", "", "")),
+        Carrier("the tool's length", _scaled(length), ("",)),
     )
 
 
-def readings(problem: GapProblem) -> Carrier:
-    """The readings of each channel in each set-up, whose instruments err by themselves."""
-    return _channels_by_name(
-        problem, problem.rows["channel"] + " in " + problem.rows["setup"]
-    )
-
-
-def channels(problem: GapProblem) -> Carrier:
-    """The readings of each channel, in all set-ups alike."""
-    return _channels_by_name(problem, problem.rows["channel"])
-
-
-def _channels_by_name(problem: GapProblem, kinds: pd.Series) -> Carrier:
-    """The readings of each kind by its name."""
+def readings(problem: GapProblem, *, by_setup: bool = True) -> Carrier:
+    """The readings of each channel, in each set-up, whose instruments err by themselves,
+    or in all set-ups alike.
+    """
+    rows = problem.rows
+    kinds = rows["channel"] + " in " + rows["setup"] if by_setup else rows["channel"]
     names, owner = np.unique(kinds.to_numpy(dtype=str), return_inverse=True)
     columns = np.zeros((len(problem), len(names), _most_poses(problem)))
     columns[np.arange(len(problem)), owner, 0] = 1.0
     labels = tuple(f"channel {name}" for name in names)
     return Carrier(READINGS, columns, labels)
-
-
-def _joints(problem: GapProblem, slopes: Array) -> Carrier:
-    """Each joint, from the readings' slopes (N, nq, J) over it."""
-    labels = tuple(f"leg {i + 1}" for i in problem.states[0].limbs)
-    return Carrier(JOINTS, _scaled(slopes), labels)
-
-
-def _tool(problem: GapProblem, slopes: Array) -> Carrier:
-    """The tool's place along the three axes of the base."""
-    pushing = values_of_poses(
-        problem, [s.joints_per_displacement for s in problem.states]
-    )
-    columns = np.einsum("nqj,njqk->nkj", slopes, pushing)
-    return Carrier("the tool", _scaled(columns), ("", "", ""))
-
-
-def _tool_length(problem: GapProblem, slopes: Array) -> Carrier:
-    """The tool along its own axis, as of a spindle that warms."""
-    growth = values_of_poses(problem, [s.joints_per_extension for s in problem.states])
-    columns = np.einsum("nqj,njq->nj", slopes, growth)
-    return Carrier("the tool's length", _scaled(columns[:, None]), ("",))
 
 
 def _scaled(columns: Array) -> Array:

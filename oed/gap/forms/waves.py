@@ -139,7 +139,7 @@ def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band
     frequencies = _frequencies(clock[:, 0], 1.0)
     if not frequencies.size:
         return
-    every = (discrepancies.channels(problem), *others)
+    every = (discrepancies.readings(problem, by_setup=False), *others)
     parts = tuple(part for carrier in every for part in carrier.parts())
     yield Band(IN_TIME, unit, clock, parts, frequencies)
 

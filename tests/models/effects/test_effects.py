@@ -20,7 +20,7 @@ from effects_sample import (
 )
 
 from kernel.cases import CASES
-from oed.gap import exact_readings, signature, untestable
+from oed.gap import GapProblem, exact_readings, untestable
 from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.base import InputError
@@ -156,7 +156,7 @@ def test_the_signature_is_the_slope_of_the_exact_machine(machine, name, rng):
         if any(True for _ in effect.columns(s.states[0], **p))
     ]
     point = points[len(points) // 2]
-    found = signature(effect, point, s.states, s.responses, s.measurement, s.series)
+    found = GapProblem.signature(s, effect, point)
     assert found.names
     assert np.isfinite(found.columns).all()
     drawn = rng.standard_normal(len(found.names))

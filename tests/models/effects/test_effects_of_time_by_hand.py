@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from effects_sample import HOURS, ROUND, columns, effect_of, session, small
 
-from oed.gap import exact_readings, signature, states
+from oed.gap import GapProblem, exact_readings, states
 from pkm_models.effects import terms
 
 
@@ -141,9 +141,7 @@ def test_frame_thermal_is_the_base_joints_moving_apart(machine):
 
 def test_bar_length_is_a_constant_of_bars_alone():
     s = session("a3_head")
-    found = signature(
-        effect_of("bar_length"), {}, s.states, s.responses, s.measurement, s.series
-    )
+    found = GapProblem.signature(s, effect_of("bar_length"), {})
     bar = 2 * ROUND
     assert found.names == ("bar 300 mm",)
     assert found.columns[:bar, 0] == pytest.approx(np.full(bar, 10e-6))

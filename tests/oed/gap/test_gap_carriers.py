@@ -59,10 +59,9 @@ def test_readings_are_carried_by_set_up_and_channel():
     each = discrepancy.readings(problem)
     assert each.labels == ("channel dy in lines", "channel dz in lines")
     assert (each.columns.sum(axis=(1, 2)) == 1.0).all()
-    assert [part.name for part in discrepancy.channels(problem).parts()] == [
-        "the readings of dy",
-        "the readings of dz",
-    ]
+    assert [
+        part.name for part in discrepancy.readings(problem, by_setup=False).parts()
+    ] == ["the readings of dy", "the readings of dz"]
     _, _, tool, _ = discrepancy.carriers_of(problem)
     assert len(tool.parts()) == 1
 

@@ -14,7 +14,6 @@ from kernel.gap_lines import readings
 from kernel.laws import noise_law
 from oed.base import Array
 from oed.gap import GapProblem
-from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.evidence import linear_model, log_evidences
 from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure, SharedError
@@ -116,12 +115,13 @@ def test_a_law_is_whitened_as_its_covariance_is(number, rng):
 def test_what_is_held_out_is_predicted_as_by_dense_conditioning(number, rng):
     """In squares: the innovations are whitened by the covariance of what is held out."""
     problem, law = problems()[number]
-    dense, noise = dense_covariance(problem, law), RunNoise(problem, law)
+    dense, factor = dense_covariance(problem, law), law.factor(problem.structure)
     values = rng.standard_normal((len(problem), 2))
     reading = problem.rows.groupby(["setup", "run", "order"]).ngroup().to_numpy()
     some = rng.permutation(reading.max() + 1)[: reading.max() // 5]
     for held in (np.flatnonzero(np.isin(reading, some)), problem.members[1]):
-        (white,) = noise.innovations(held, [noise.score(values)])
+        scored = factor.scored(factor.errors.standardise(values))
+        white = factor.hold_out(held).innovations(scored)
         others = np.setdiff1d(np.arange(len(problem)), held)
         cross = np.linalg.solve(
             dense[np.ix_(others, others)], dense[np.ix_(others, held)]
