@@ -167,31 +167,24 @@ def add_warnings(
     is_judged            whether a check of the readings says how large the residuals are
     explained_as_stated  whether the stated noise explains them at other parameters
     """
-    sentences = []
-    unchanged = _wide_parameters(measurement, estimate, Estimate.AT_PRIOR, np.inf)
-    if unchanged:
-        sentences.append(
-            "these stay near their tolerance, the readings hardly determine them: "
-            + ", ".join(unchanged)
-        )
-    weak = _wide_parameters(measurement, estimate, Estimate.WEAK, Estimate.AT_PRIOR)
-    if weak:
-        sentences.append(
-            "these are weakly identified, their posterior stays wide: "
-            + ", ".join(weak)
-        )
-    far = _far_parameters(measurement, estimate)
-    if far:
-        sentences.append(
-            f"these ended more than {FAR_TOLERANCES:.0f} tolerances from where they began; widen"
-            f" [prior] or doubt the model: {', '.join(far)}"
-        )
-    near = _bounded_parameters(measurement, estimate)
-    if near:
-        sentences.append(
-            "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
-            f" posterior and predictions keep to it: {', '.join(near)}"
-        )
+    at_prior, weak = Estimate.AT_PRIOR, Estimate.WEAK
+    listed = {
+        "these stay near their tolerance, the readings hardly determine them": (
+            _wide_parameters(measurement, estimate, at_prior, np.inf)
+        ),
+        "these are weakly identified, their posterior stays wide": (
+            _wide_parameters(measurement, estimate, weak, at_prior)
+        ),
+        f"these ended more than {FAR_TOLERANCES:.0f} tolerances from where they began;"
+        " widen [prior] or doubt the model": _far_parameters(measurement, estimate),
+        "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
+        " posterior and predictions keep to it": (
+            _bounded_parameters(measurement, estimate)
+        ),
+    }
+    sentences = [
+        f"{what}: {', '.join(names)}" for what, names in listed.items() if names
+    ]
     sentences += contradicted_law(estimate)
     if not is_judged:
         sentences += large_residuals(estimate, explained_as_stated=explained_as_stated)

@@ -90,12 +90,8 @@ def free_parameters(measurement: Measurement, series: Sequence[Series]) -> Index
     return np.array(indices, dtype=np.intp)
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Trial:
-    """Additional readings in words, and the number of directions lost with them."""
-
-    text: str
-    lost: int
+#: additional readings in words, and the number of directions lost with them
+Trial = tuple[str, int]
 
 
 def recoveries(
@@ -110,9 +106,9 @@ def recoveries(
         *_alternatives(assessment, alternatives),
     ]
     return [
-        f"{trial.text} recovers {_recovered(lost, trial.lost)}"
-        for trial in trials
-        if trial.lost < lost
+        f"{readings} recovers {_recovered(lost, remaining)}"
+        for readings, remaining in trials
+        if remaining < lost
     ]
 
 
@@ -122,10 +118,18 @@ def _recovered(before: int, after: int) -> str:
     return "all lost directions" if before > 1 else "the lost direction"
 
 
-def _lost_directions(rows: Array, free: Index, scale: Array) -> int:
-    """Number of directions that rows (N, n) of H do not determine."""
-    h = (rows * scale)[:, free]
-    singular_values = np.linalg.svd(h, compute_uv=False)
+def _lost_directions(
+    measurement: Measurement, series: Sequence[Series], further: Array | None = None
+) -> int:
+    """Number of directions that readings, and further rows (N, n) of H, do not determine."""
+    rows = measurement.jacobian(series, measurement.nominal)
+    rows *= measurement.reading_length_factors(series)[:, None]
+    if further is not None:
+        rows = np.vstack([rows, further])
+    free = free_parameters(measurement, series)
+    singular_values = np.linalg.svd(
+        (rows / measurement.length_factors)[:, free], compute_uv=False
+    )
     threshold = identifiability.RANK_TOLERANCE * singular_values[0]
     return int(len(free) - np.count_nonzero(singular_values > threshold))
 
@@ -147,11 +151,9 @@ def _longer_tool(assessment: Assessment) -> list[Trial]:
         dataclasses.replace(s, setup=_extended_name(s.setup)) for s in assessment.series
     ]
     trial = assessment.measurement.with_setups([*setups, *extended])
-    rows = trial.jacobian([*assessment.series, *repeated], trial.nominal)
-    free = np.flatnonzero(trial.free)
-    lost = _lost_directions(rows, free, 1.0 / trial.length_factors)
+    lost = _lost_directions(trial, [*assessment.series, *repeated])
     extension = f"{units.number(TOOL_EXTENSION, 'mm'):.0f} mm"
-    return [Trial(f"a second tool, {extension} longer, in a set-up of its own", lost)]
+    return [(f"a second tool, {extension} longer, in a set-up of its own", lost)]
 
 
 def _extended_name(setup: str) -> str:
@@ -166,22 +168,19 @@ def _rotates(assessment: Assessment) -> bool:
 def _more_pose_components(assessment: Assessment) -> list[Trial]:
     """The same poses with more of the pose read, by a tracker in a known frame."""
     measurement, series = assessment.measurement, assessment.series
-    rows = measurement.jacobian(series, measurement.nominal)
-    free = free_parameters(measurement, series)
-    scale = 1.0 / measurement.length_factors
     position, axis, pose = _pose_jacobians(assessment)
 
     def lost_with(jacobian: Array) -> int:
-        unrelated = rows.shape[1] - jacobian.shape[1]
+        unrelated = len(measurement.names) - jacobian.shape[1]
         padded = np.hstack([jacobian, np.zeros((len(jacobian), unrelated))])
-        return _lost_directions(np.vstack([rows, padded]), free, scale)
+        return _lost_directions(measurement, series, padded)
 
     frame = "in a known frame,"
-    trials = [Trial(f"reading the tool's position too, {frame}", lost_with(position))]
+    trials = [(f"reading the tool's position too, {frame}", lost_with(position))]
     if _rotates(assessment):
         trials += [
-            Trial(f"reading the tool axis' direction too, {frame}", lost_with(axis)),
-            Trial(f"reading all six pose components, {frame}", lost_with(pose)),
+            (f"reading the tool axis' direction too, {frame}", lost_with(axis)),
+            (f"reading all six pose components, {frame}", lost_with(pose)),
         ]
     return trials
 
@@ -229,12 +228,8 @@ def _passive_sensors(assessment: Assessment) -> list[Trial]:
     trial = measurement.with_setups([*measurement.setups.values(), setup])
     series = [*assessment.series]
     series += [_read_alone(s, setup.name) for s in assessment.series]
-    rows = trial.jacobian(series, trial.nominal)
-    rows *= trial.reading_length_factors(series)[:, None]
-    lost = _lost_directions(
-        rows, free_parameters(trial, series), 1.0 / trial.length_factors
-    )
-    return [Trial(f"sensors on the passive joints, {', '.join(names)},", lost)]
+    lost = _lost_directions(trial, series)
+    return [(f"sensors on the passive joints, {', '.join(names)},", lost)]
 
 
 def _read_alone(series: Series, setup: str) -> Series:
@@ -253,8 +248,6 @@ def _alternatives(
         used = {s.setup for s in together}
         chosen = [setup for key, setup in setups.items() if key in used]
         joint = measurement.with_setups(chosen)
-        rows = joint.jacobian(together, joint.nominal)
-        free = np.flatnonzero(joint.free)
-        lost = _lost_directions(rows, free, 1.0 / joint.length_factors)
-        trials.append(Trial(f"adding the readings of {name}", lost))
+        lost = _lost_directions(joint, together)
+        trials.append((f"adding the readings of {name}", lost))
     return trials
