@@ -58,18 +58,9 @@ def noise_numbers(
     records += seated.values()
     if prior.CORRELATED in prior.names:
         statement = structure.statement
-        far = laws.correlated - statement.correlated_share > CORRELATED_SHARE
-        records.append(
-            _record(
-                weights,
-                "carried",
-                "",
-                "1",
-                laws.correlated,
-                statement.correlated_share,
-                far,
-            )
-        )
+        share, stated_share = laws.correlated, statement.correlated_share
+        far = share - stated_share > CORRELATED_SHARE
+        records.append(_record(weights, "carried", "", "1", share, stated_share, far))
         never = np.zeros(len(laws), dtype=bool)
         # beyond the longest run, readings cannot tell how far it goes
         reach = np.minimum(laws.reach, structure.longest)

@@ -70,7 +70,7 @@ def explain(
         constants[effect] = library.atoms[atom].constants
         signal = columns[:, columns_of] @ mean[columns_of]
         by_effects = by_effects + signal
-        unit = size * library.scales[rows]
+        unit = size * np.array(library.scales)[rows]
         for c, value, of_value in zip(
             rows, mean[columns_of] * unit, sd[columns_of] * unit, strict=True
         ):

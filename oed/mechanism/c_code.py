@@ -10,7 +10,7 @@ import casadi as ca
 
 from oed.base import Array
 from oed.mechanism import newton
-from oed.mechanism.expressions import MachineExpressions, machine_expressions
+from oed.mechanism.expressions import MachineExpressions
 from oed.mechanism.inverse import joint_slopes
 from oed.model import Expr, Machine
 
@@ -40,7 +40,7 @@ def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctio
 
     Matrices are dense and column by column.
     """
-    e = machine_expressions(machine)
+    e = MachineExpressions(machine)
     functions = _functions(machine, e, parameters)
     generator = ca.CodeGenerator("pkm", {"casadi_int": "int"})
     for function in functions:

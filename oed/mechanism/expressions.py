@@ -1,6 +1,5 @@
 """CasADi expressions derived from a machine's closure: pose slopes, struts, misfit."""
 
-import dataclasses
 import functools
 from collections.abc import Sequence
 
@@ -20,28 +19,32 @@ def symbols(
     return vector, {item.name: vector[i] for i, item in enumerate(items)}
 
 
-@dataclasses.dataclass(frozen=True)
 class MachineExpressions:
-    """Symbols of a machine and the expressions of its closure and tool frame."""
+    """Symbols of a machine and the expressions of its closure and tool frame.
 
-    #: pose, joints and parameters, vectors; with their entries by name
-    x: ca.SX
-    q: ca.SX
-    p: ca.SX
-    c: ca.SX  #: command, vector; with its entries by name
-    tool: ca.SX  #: (3,) tool point relative to the reference tool's
-    x_by_name: Values
-    q_by_name: Values
-    p_by_name: Values
-    c_by_name: Values
-    phi: Expr  #: closure, a vector
-    rotation: Expr  #: (3, 3) of the tool in the base frame
-    tip: Expr  #: (3,) tool point in the base frame
-    #: quantities that the controller holds at pose x with this tool
-    commanded: Sequence[Expr]
-    target: Sequence[Expr]  #: the same quantities at command c
-    #: pose and joints from which Newton's method starts at c with this tool
-    start: tuple[ca.SX, ca.SX]
+    x, q, p, c  pose, joints, parameters and command, vectors; `x_by_name` and so on are
+                their entries by name
+    tool        (3,) tool point relative to the reference tool's
+    phi         closure, a vector
+    rotation    (3, 3) of the tool in the base frame;  tip (3,): its point there
+    commanded   quantities that the controller holds at pose x with this tool
+    target      the same quantities at command c
+    start       pose and joints from which Newton's method starts at c with this tool
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.x, self.x_by_name = symbols("x", machine.pose)
+        self.q, self.q_by_name = symbols("q", machine.joints)
+        self.p, self.p_by_name = symbols("p", machine.parameters)
+        self.c, self.c_by_name = symbols("c", machine.command)
+        self.tool = ca.SX.sym("tool", 3)
+        by_name = self.x_by_name, self.q_by_name, self.p_by_name
+        self.phi: Expr = ca.vertcat(*machine.closure(*by_name))
+        self.rotation, origin = machine.platform(self.x_by_name)
+        self.tip = origin + self.rotation @ self.tool
+        self.commanded = machine.commanded(self.x_by_name, self.tip)
+        self.target = machine.target(self.c_by_name)
+        self.start = self._start(machine)
 
     @property
     def balance(self) -> Expr:
@@ -50,47 +53,25 @@ class MachineExpressions:
             return self.phi
         return ca.jacobian(self.phi, self.x).T @ self.phi
 
+    def _start(self, machine: Machine) -> tuple[ca.SX, ca.SX]:
+        """Start of pose and joints.
 
-def machine_expressions(machine: Machine) -> MachineExpressions:
-    """Evaluate a machine's functions on symbols.
-
-    The machine's start value is that of the reference tool, and far off for a long tool on
-    a tilted platform. Coordinates that are held as commanded go back by what the tool adds.
-    """
-    x, x_by_name = symbols("x", machine.pose)
-    q, q_by_name = symbols("q", machine.joints)
-    p, p_by_name = symbols("p", machine.parameters)
-    c, c_by_name = symbols("c", machine.command)
-    tool = ca.SX.sym("tool", 3)
-    rotation, origin = machine.platform(x_by_name)
-    tip = origin + rotation @ tool
-    commanded, target = machine.commanded(x_by_name, tip), machine.target(c_by_name)
-    pose, joints = (
-        ca.SX(ca.vertcat(*part)) for part in machine.start(c_by_name, p_by_name)
-    )
-    reference = ca.SX(c)
-    for held, at_command in zip(commanded, target, strict=True):
-        added = ca.SX(held) - ca.substitute(ca.SX(held), tool, ca.SX.zeros(3))
-        for k in range(c.numel()):
-            if ca.is_equal(ca.SX(at_command), c[k]):
-                reference[k] -= ca.substitute(added, x, pose)
-    return MachineExpressions(
-        x=x,
-        q=q,
-        p=p,
-        c=c,
-        tool=tool,
-        x_by_name=x_by_name,
-        q_by_name=q_by_name,
-        p_by_name=p_by_name,
-        c_by_name=c_by_name,
-        phi=ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name)),
-        rotation=rotation,
-        tip=tip,
-        commanded=commanded,
-        target=target,
-        start=(ca.substitute(pose, c, reference), ca.substitute(joints, c, reference)),
-    )
+        The machine's is that of the reference tool, and far off for a long tool on a tilted
+        platform. Coordinates that are held as commanded go back by what the tool adds.
+        """
+        start = machine.start(self.c_by_name, self.p_by_name)
+        pose, joints = (ca.SX(ca.vertcat(*part)) for part in start)
+        reference = ca.SX(self.c)
+        for held, at_command in zip(self.commanded, self.target, strict=True):
+            without = ca.substitute(ca.SX(held), self.tool, ca.SX.zeros(3))
+            added = ca.SX(held) - without
+            for k in range(self.c.numel()):
+                if ca.is_equal(ca.SX(at_command), self.c[k]):
+                    reference[k] -= ca.substitute(added, self.x, pose)
+        return (
+            ca.substitute(pose, self.c, reference),
+            ca.substitute(joints, self.c, reference),
+        )
 
 
 def twist_slope(rotation: Expr, tip: Expr, x: Expr) -> Expr:
@@ -188,7 +169,7 @@ class MachineFrame(Frame):
 
 def _home_null_space(machine: Machine) -> Array:
     """Orthonormal null space (m, k) of the constraints at the start for home."""
-    e = machine_expressions(machine)
+    e = MachineExpressions(machine)
     start_values = ca.Function("start", [e.c, e.p, e.tool], list(e.start))(
         machine.home_command, machine.nominal, np.zeros(3)
     )

@@ -153,14 +153,19 @@ class InverseKinematics:
         if same and np.array_equal(drawn.home_command, machine.home_command):
             return z, mode
         command, p = machine.home_command[None], machine.nominal
-        solution = self._directly(command, p, tool, mode)
-        if solution is None:
+        direct, failed = self._newton(self._starts(command, p, tool), command, p, tool)
+        solution: Array | None = direct[0]
+        if (
+            failed[0]
+            or _differ_by_joints(self.modes(direct, command, p, tool), mode)[0]
+        ):
             start = z, drawn.home_command, drawn.nominal
             solution = self._follow_from_drawn(start, command, p, tool, mode)
         if solution is None:
             solution = self._search_starts(command, p, tool, mode)
         if solution is None:
-            raise self._error(command, np.array([0]), self._why_not(command, p, tool))
+            reason = OUT_OF_REACH if failed[0] else MIRRORED
+            raise self._error(command, np.array([0]), reason)
         return solution, self.modes(solution[None], command, p, tool)[0]
 
     def _drawn_home(self, command: Array, p: Array, tool: Array) -> tuple[Array, Array]:
@@ -170,14 +175,6 @@ class InverseKinematics:
         if failed.any():
             raise self._error(command, np.array([0]), OUT_OF_REACH)
         return z[0], self.modes(z, command, p, tool)[0]
-
-    def _directly(
-        self, command: Array, p: Array, tool: Array, mode: Array
-    ) -> Array | None:
-        z, failed = self._newton(self._starts(command, p, tool), command, p, tool)
-        if failed[0] or _differ_by_joints(self.modes(z, command, p, tool), mode)[0]:
-            return None
-        return np.asarray(z[0])
 
     def _follow_from_drawn(
         self,
@@ -223,10 +220,6 @@ class InverseKinematics:
             return None
         distance = np.linalg.norm((z - start) / size, axis=1)
         return np.asarray(z[np.argmin(distance)])
-
-    def _why_not(self, command: Array, p: Array, tool: Array) -> str:
-        _, failed = self._newton(self._starts(command, p, tool), command, p, tool)
-        return OUT_OF_REACH if failed[0] else MIRRORED
 
     def joint_slopes(
         self, x: Array, q: Array, p: Array, command: Array, tool: Array

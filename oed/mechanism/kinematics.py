@@ -18,12 +18,7 @@ import numpy as np
 from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.expressions import (
-    MachineExpressions,
-    machine_expressions,
-    strut_ends,
-    twist_slope,
-)
+from oed.mechanism.expressions import MachineExpressions, strut_ends, twist_slope
 from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import PATH_STEPS, AssemblyError, InverseKinematics, listed
 from oed.mechanism.pose_slopes import PoseSlopes
@@ -75,7 +70,7 @@ class Kinematics:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         #: symbols and expressions of the machine
-        self.expressions = e = machine_expressions(machine)
+        self.expressions = e = MachineExpressions(machine)
         self._inverse = InverseKinematics(machine, e)
         #: the equations of a pose
         self.equations = ForwardKinematics(machine, e)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # its parts load when first used
 
 from oed.base import Array
-from oed.mechanism.expressions import MachineExpressions, machine_expressions
+from oed.mechanism.expressions import MachineExpressions
 from oed.model import Expr, Machine
 from oed.result import ClosestClosure, MachineShape
 
@@ -25,7 +25,7 @@ def closest_closure(machine: Machine, command: Array) -> ClosestClosure:
     What is no number in the guess, such as the root of a length too short, is 0 instead
     where the search begins, or the middle of its range.
     """
-    e = machine_expressions(machine)
+    e = MachineExpressions(machine)
     command = np.asarray(command, dtype=float)
     begin = ca.Function("start", [e.c, e.p, e.tool], list(e.start))
     start = begin(command, machine.nominal, np.zeros(3))

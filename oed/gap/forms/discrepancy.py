@@ -238,33 +238,10 @@ def build(problem: GapProblem) -> Library:
             numbers = np.concatenate([columns_of[part] for part in term.parts])
             for choice, share in _choices(term.carrier, owner):
                 log_weight = math.log(share) - math.log(len(visible))
-                atom = Atom(
-                    term.name,
-                    constants,
-                    numbers[choice],
-                    log_weight,
-                    term.about,
-                    timed=term.timed,
-                    reversal=reversal[choice],
-                )
-                atoms.append(atom)
+                form = numbers[choice], log_weight, term.about, term.timed
+                atoms.append(Atom(term.name, constants, *form, reversal[choice]))
     blocks = [part.block for part in columns_of]
-    return assembled(Columns(len(problem), blocks), atoms, labels)
-
-
-def assembled(
-    columns: Columns, atoms: Sequence[Atom], labels: Sequence[str]
-) -> Library:
-    """Columns (N, K) of a discrepancy, in units of the noise, as a library."""
-    count = len(labels)
-    return Library(
-        columns=columns,
-        atoms=tuple(atoms),
-        names=tuple(f"discrepancy {k}" for k in range(count)),
-        labels=tuple(labels),
-        scales=np.ones(count),
-        not_testable={},
-    )
+    return Library(Columns(len(problem), blocks), tuple(atoms), tuple(labels))
 
 
 def _choices(carrier: Carrier, owner: Index) -> list[tuple[Index, float]]:

@@ -85,10 +85,12 @@ class Library:
 
     columns: Columns  #: (N, K) change of the readings, in units of the noise
     atoms: tuple[Atom, ...]  #: forms of the effects
-    names: tuple[str, ...]  #: (K,) of the coefficients
     labels: tuple[str, ...]  #: (K,) the block of each coefficient; "" for none
-    scales: Array  #: (K,) prior standard deviations of the coefficients
-    not_testable: Mapping[str, str]  #: {effect: why these readings cannot test it}
+    # of effects alone, not of a discrepancy:
+    names: tuple[str, ...] = ()  #: (K,) of the coefficients
+    scales: Sequence[float] = ()  #: (K,) prior standard deviations of the coefficients
+    #: {effect: why these readings cannot test it}
+    not_testable: Mapping[str, str] = dataclasses.field(default_factory=dict)
     #: {effect: family of effects that differ by the form alone}
     families: Mapping[str, str] = dataclasses.field(default_factory=dict)
     #: {covariate that effects need first, "" for none: number of effects}
@@ -137,7 +139,7 @@ def build(
     atoms: list[Atom] = []
     names: list[str] = []
     labels: list[str] = []
-    scales: list[Array] = []
+    scales: list[float] = []
     limits: list[float] = []
     refused: dict[str, str] = {}
     for effect in effects:
@@ -160,7 +162,7 @@ def build(
             names += form.names
             limits += map(effect.size_limit, form.names, form.scales)
             labels += form.labels
-            scales.append(form.scales)
+            scales += form.scales.tolist()
             of_form = _atoms(form, start, log_weight, halved, effect.about)
             timed = effect.varies_with_time
             atoms += [dataclasses.replace(atom, timed=timed) for atom in of_form]
@@ -169,7 +171,7 @@ def build(
         atoms=tuple(atoms),
         names=tuple(names),
         labels=tuple(labels),
-        scales=np.concatenate(scales) if scales else np.zeros(0),
+        scales=scales,
         not_testable=refused,
         limits=limits,
         families={effect.name: effect.family for effect in effects if effect.family},

@@ -103,7 +103,7 @@ def _joined(
         labels += [label for label in wave.carrier.labels for _ in range(2)]
     every = [*library.columns.blocks, *blocks]
     columns = Columns(len(library.columns), every)
-    return discrepancies.assembled(columns, atoms, labels)
+    return Library(columns, tuple(atoms), tuple(labels))
 
 
 def peaks(precision: "WavePrecision", band: Band) -> list[Wave]:

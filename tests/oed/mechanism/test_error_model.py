@@ -16,7 +16,7 @@ from oed.mechanism import (
     pose_errors,
 )
 from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.expressions import machine_expressions
+from oed.mechanism.expressions import MachineExpressions
 from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import InverseKinematics
 from oed.mechanism.pose_slopes import PoseAdjoints
@@ -85,7 +85,7 @@ def test_slopes_pulled_back_are_those_of_the_sensitivity(index, rng):
 
 
 def test_forward_undoes_inverse_and_slopes_are_differences():
-    expressions = machine_expressions(a3_head.machine)
+    expressions = MachineExpressions(a3_head.machine)
     inverse = InverseKinematics(a3_head.machine, expressions)
     x, q = inverse.solve(COMMAND, NOMINAL, np.zeros(3))
     np.testing.assert_allclose(q, a3.inverse_nominal(*COMMAND.T, 0.0), atol=1e-12)
