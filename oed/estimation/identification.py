@@ -99,7 +99,9 @@ def stage_with_effects(
     )
     theta = fit.closing(exact.theta, means.mean(axis=0))
     offsets = means - means.mean(axis=0)
-    covariance = _mean_covariance(weights, fits) + offsets.T @ offsets / len(offsets)
+    covariance = offsets.T @ offsets / len(offsets)
+    for weight, one in zip(weights, fits, strict=True):
+        covariance += weight * one.parameter_covariance()
     first = dataclasses.replace(exact, theta=theta)
     wide = dataclasses.replace(structure, effects=alternation.widened(sizes))
     final = settle_law(fit, stated, first, wide, prior, best.mode)
@@ -119,12 +121,6 @@ def stage_with_effects(
         residuals=residuals,
         effects=sampled,
     )
-
-
-def _mean_covariance(weights: Array, fits: "Sequence[_Settled]") -> Array:
-    """Covariance (n, n) of the parameters within fits, by their weights."""
-    parts = zip(weights, fits, strict=True)
-    return np.asarray(sum(w * one.parameter_covariance() for w, one in parts))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -80,23 +80,15 @@ class _SymbolicSeries(NamedTuple):
     command: Any
 
 
-class _Bounded:
-    """Stacked variables or constraints with their bounds."""
+#: a part of the variables or constraints, with the bounds of its entries
+_Bounded = tuple[Any, Array, Array]
 
-    def __init__(self) -> None:
-        self.parts: list[Any] = []
-        self.lower: list[Array] = []
-        self.upper: list[Array] = []
 
-    def add(self, part: Any, lower: Array, upper: Array) -> None:
-        """Adds a part with bounds of its size."""
-        self.parts.append(ca.vec(part))
-        self.lower.append(lower)
-        self.upper.append(upper)
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of all parts."""
-        return np.concatenate(self.lower), np.concatenate(self.upper)
+def _stacked(parts: Sequence[_Bounded]) -> _Bounded:
+    """All parts as one column, with their lower and upper bounds."""
+    expressions, lower, upper = zip(*parts, strict=True)
+    column: Any = ca.vertcat(*map(ca.vec, expressions))
+    return column, np.concatenate(lower), np.concatenate(upper)
 
 
 class PolishProgram:
@@ -111,7 +103,8 @@ class PolishProgram:
     ) -> None:
         self.start, self.travel, self.clearance = start, travel, clearance
         self.machine = start.measurement.machine
-        self._variables, self._constraints = _Bounded(), _Bounded()
+        self._variables: list[_Bounded] = []
+        self._constraints: list[_Bounded] = []
         self._start_values: list[Array] = []
         self._objective: Any = None
         self._setups = {
@@ -129,13 +122,14 @@ class PolishProgram:
         variable = ca.MX.sym(name, value.shape[1], value.shape[0])
         lower_all = np.broadcast_to(lower, value.shape).ravel()
         upper_all = np.broadcast_to(upper, value.shape).ravel()
-        self._variables.add(variable, lower_all, upper_all)
+        self._variables.append((variable, lower_all, upper_all))
         self._start_values.append(np.clip(value, lower, upper).ravel())
         return variable
 
     def _constrain(self, expression: Any, lower: float, upper: float) -> None:
         size = expression.numel()
-        self._constraints.add(expression, np.full(size, lower), np.full(size, upper))
+        bounds = np.full(size, lower), np.full(size, upper)
+        self._constraints.append((expression, *bounds))
 
     def _add_setup(
         self, setup: Setup, ranges: Mapping[str, tuple[float, float]]
@@ -240,11 +234,9 @@ class PolishProgram:
     # -- solution ----------------------------------------------------------------------
     def solve(self, curvature: float, iterations: int) -> tuple[str, Array]:
         """IPOPT's status, and its last point."""
-        nlp: Any = {
-            "x": ca.vertcat(*self._variables.parts),
-            "f": -self._objective,
-            "g": ca.vertcat(*self._constraints.parts),
-        }
+        x, lower, upper = _stacked(self._variables)
+        g, g_lower, g_upper = _stacked(self._constraints)
+        nlp: Any = {"x": x, "f": -self._objective, "g": g}
         ipopt = {
             **IPOPT_OPTIONS,
             "limited_memory_init_val": curvature,
@@ -256,8 +248,6 @@ class PolishProgram:
             "show_eval_warnings": False,
         }
         solver = ca.nlpsol("polish", "ipopt", nlp, options)
-        lower, upper = self._variables.bounds()
-        g_lower, g_upper = self._constraints.bounds()
         start = np.concatenate(self._start_values)
         solution = solver(x0=start, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper)
         status = str(solver.stats()["return_status"]).replace("_", " ").lower()
@@ -266,12 +256,12 @@ class PolishProgram:
 
     def plan(self, z: Array) -> ReadingPlan:
         """Set-ups and readings at a point, computed anew from commands and settings."""
-        z = np.clip(z, *self._variables.bounds())
+        variables, lower, upper = _stacked(self._variables)
+        z = np.clip(z, lower, upper)
         outputs: list[Any] = []
         for symbolic in self._setups.values():
             outputs += [symbolic.settings, symbolic.tool]
         outputs += [series.command.T for series in self._series]
-        variables = ca.vertcat(*self._variables.parts)
         evaluate = ca.Function("evaluate", [variables], outputs)
         numbers = [np.asarray(v, dtype=float) for v in evaluate.call([ca.DM(z)])]
         setups = []

@@ -272,23 +272,21 @@ class LogDensity:
         only noted.
         """
         try:
-            return self._log_density(points, w)
+            parts = [
+                self._log_density(points[batch], None if w is None else w[batch])
+                for batch in self._batches(points)
+            ]
+            return np.concatenate(parts)
         except KeyboardInterrupt:
             self.interrupted = True
             return np.full(len(points), -np.inf)
-
-    def _log_density(self, points: Array, w: Array | None) -> Array:
-        parts = []
-        for batch in self._batches(points):
-            parts.append(self._part(points[batch], None if w is None else w[batch]))
-        return np.concatenate(parts)
 
     def _batches(self, points: Array) -> list[slice]:
         """Parts of some points whose readings fit into memory."""
         size = max(BATCH_READINGS // len(self._y), 1)
         return [slice(k, k + size) for k in range(0, len(points), size)]
 
-    def _part(self, points: Array, w: Array | None) -> Array:
+    def _log_density(self, points: Array, w: Array | None) -> Array:
         """Log density of points whose readings fit into memory."""
         z, theta = self.place(points, w)
         u = points[:, self.r :]

@@ -16,7 +16,7 @@ Atkinson and Fedorov 1975 (T-optimality); Bjorck and Golub 1973 (principal angle
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy import linalg, optimize, sparse, special
@@ -268,8 +268,8 @@ def effect_rival(effect: RemainingForms, rival: RemainingForms) -> RivalRecord:
 def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
     """Principal angles (r,), deg ascending, and their unit combinations (k, r)."""
     columns, others = form.at[form.textbook], rival.at[rival.textbook]
-    root = _visible_root(gram[np.ix_(columns, columns)])
-    rival_root = _visible_root(gram[np.ix_(others, others)])
+    root = visible_root(gram[np.ix_(columns, columns)])
+    rival_root = visible_root(gram[np.ix_(others, others)])
     cross = root.T @ gram[np.ix_(columns, others)] @ rival_root
     u, cosine, _ = np.linalg.svd(cross)
     missing = np.zeros(u.shape[1] - len(cosine))
@@ -279,9 +279,11 @@ def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Arra
     return np.rad2deg(np.arccos(cosine)), vectors / lengths
 
 
-def _visible_root(gram: Array) -> Array:
-    """R (k, r) with R^T A R = 1 over directions of a Gram matrix that can be seen."""
-    return inverse_root(gram, _least_seen)
+def visible_root(gram: Array) -> Array:
+    """R (k, r), R R^T the pseudo-inverse of a Gram matrix over what can be seen."""
+    values, vectors = eigenvectors(gram)
+    visible = values > _least_seen(float(values.max(initial=0.0)))
+    return vectors[:, visible] / np.sqrt(values[visible])
 
 
 def _least_seen(largest: float) -> float:
@@ -335,14 +337,6 @@ def indistinguishable(
         groups.setdefault(int(number), []).append(name)
     classes = [members for members in groups.values() if len(members) > 1]
     return classes, [[names[k], names[j]] for k, j in np.argwhere(close)]
-
-
-# -- root ------------------------------------------------------------------------------
-def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
-    """R (k, m), R R^T the pseudo-inverse of a Gram matrix above a `least` energy."""
-    values, vectors = eigenvectors(gram)
-    visible = values > least(float(values.max(initial=0.0)))
-    return vectors[:, visible] / np.sqrt(values[visible])
 
 
 def combination_words(combination: Mapping[str, float]) -> str:

@@ -463,31 +463,22 @@ class Metric:
         factor = law.factor(problem.structure, rows)
         self._slopes = problem.slopes
         self.size = len(factor.order)
-        #: root of Sigma + H Lambda H^T
+        #: root of Sigma + H Lambda H^T, and the log of its determinant
         self.root = factor.widened(problem.slopes)
-        #: log determinant of Sigma + H Lambda H^T
         self.log_det = self.root.log_det
+        #: vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v
+        self.scores = self.root.whiten
+        #: M Y (N, k), for values Y (N, k)
+        self.precision = self.root.precision
+        #: whitened values (N, k) less what the parameters absorb of them; what they
+        #: absorb almost whole keeps its digits
+        self.remaining = self.root.remaining
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
         if values.ndim == 1:
             return self.root.alone.whiten(values[:, None])[:, 0]
         return self.root.alone.whiten(values)
-
-    def scores(self, values: Array) -> Array:
-        """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
-        return self.root.whiten(values)
-
-    def precision(self, values: Array) -> Array:
-        """M Y (N, k), for values Y (N, k)."""
-        return self.root.precision(values)
-
-    def remaining(self, white: Array) -> Array:
-        """Whitened values (N, k) less what the parameters absorb of them.
-
-        What they absorb almost whole keeps its digits.
-        """
-        return self.root.remaining(white)
 
     def fit(self, values: Array) -> Array:
         """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""

@@ -418,20 +418,6 @@ class _Writer:
         return OPERATIONS[node.operation].expression.format(*sources)
 
 
-class _Limits(ctypes.Structure):
-    """`limits` of newton.h."""
-
-    _fields_ = (
-        ("step_tolerance", ctypes.c_double),
-        ("longest", ctypes.c_double),
-        ("short_step", ctypes.c_double),
-        ("remaining", ctypes.c_double),
-        ("acceptable", ctypes.c_double),
-        ("newton_steps", ctypes.c_int64),
-        ("chord_steps", ctypes.c_int64),
-    )
-
-
 class _Lanes:
     """A job on a function, compiled."""
 
@@ -522,7 +508,7 @@ class Newton(_Lanes):
         solutions = np.empty(inputs[0].shape)
         states = np.empty(shape, dtype=np.uint8)
         limits = _limits(step_tolerance, longest)
-        places = ctypes.addressof(limits), address(solutions), address(states)
+        places = address(limits), address(solutions), address(states)
         self._call(inputs, shape, *places)
         return SolvedSystems(
             solutions, states == SOLVED_STATE, states == SHORT_STEP_STATE
@@ -530,16 +516,10 @@ class Newton(_Lanes):
 
 
 @functools.cache
-def _limits(step_tolerance: float, longest: float) -> _Limits:
-    return _Limits(
-        step_tolerance,
-        longest,
-        SHORT_STEP,
-        FINAL_ERROR,
-        REMAINING_ERROR,
-        NEWTON_STEPS,
-        CHORD_STEPS,
-    )
+def _limits(step_tolerance: float, longest: float) -> Array:
+    """`limits` of newton.h."""
+    errors, steps = (FINAL_ERROR, REMAINING_ERROR), (NEWTON_STEPS, CHORD_STEPS)
+    return np.array([step_tolerance, longest, SHORT_STEP, *errors, *steps], dtype=float)
 
 
 class Adjoint(_Lanes):

@@ -13,7 +13,7 @@ typedef struct {
     double short_step;     /* step after which the slopes are kept */
     double remaining;      /* error that a lane's last step may leave */
     double acceptable;     /* the same where rounding permits no less */
-    int64_t newton_steps, chord_steps;
+    double newton_steps, chord_steps; /* most steps of each kind */
 } limits;
 
 /* A step; the largest entry of each lane's, NaN where one is. */
