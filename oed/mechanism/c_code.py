@@ -62,10 +62,7 @@ def _functions(
         fixed = [ca.substitute(ca.SX(f), e.p, values) for f in outputs]
         return ca.Function(name, inputs, [ca.densify(f) for f in fixed])
 
-    pairs = zip(e.commanded, e.target, strict=True)
-    unmet = ca.vertcat(
-        e.phi, *[commanded - target_value for commanded, target_value in pairs]
-    )
+    unmet = ca.vertcat(e.phi, e.unmet_command)
     commanded, target = ca.vertcat(*e.commanded), ca.vertcat(*e.target)
     slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
     closure_slope = ca.jacobian(e.phi, e.x)

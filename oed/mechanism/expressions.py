@@ -30,6 +30,7 @@ class MachineExpressions:
     commanded   quantities that the controller holds at pose x with this tool
     target      the same quantities at command c
     start       pose and joints from which Newton's method starts at c with this tool
+    lines       (3, n) that the machine draws; none where it has no skeleton
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -45,6 +46,8 @@ class MachineExpressions:
         self.commanded = machine.commanded(self.x_by_name, self.tip)
         self.target = machine.target(self.c_by_name)
         self.start = self._start(machine)
+        drawn = machine.skeleton(*by_name) if machine.skeleton else []
+        self.lines: list[Expr] = [ca.horzcat(*line) for line in drawn]
 
     @property
     def balance(self) -> Expr:
@@ -52,6 +55,12 @@ class MachineExpressions:
         if self.phi.numel() == self.x.numel():
             return self.phi
         return ca.jacobian(self.phi, self.x).T @ self.phi
+
+    @property
+    def unmet_command(self) -> Expr:
+        """What is held at pose x with this tool, less what command c asks for."""
+        pairs = zip(self.commanded, self.target, strict=True)
+        return ca.vertcat(*[held - wanted for held, wanted in pairs])
 
     def _start(self, machine: Machine) -> tuple[ca.SX, ca.SX]:
         """Start of pose and joints.

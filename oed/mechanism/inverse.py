@@ -68,8 +68,7 @@ class InverseKinematics:
 
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine = machine
-        pairs = zip(e.commanded, e.target, strict=True)
-        unmet = ca.vertcat(e.phi, *[commanded - target for commanded, target in pairs])
+        unmet = ca.vertcat(e.phi, e.unmet_command)
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
         inputs = [e.x, e.q, e.p, e.c, e.tool]
         by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*joint_slopes(e))

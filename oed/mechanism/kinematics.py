@@ -19,9 +19,8 @@ from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.expressions import MachineExpressions, strut_ends, twist_slope
-from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import PATH_STEPS, AssemblyError, InverseKinematics, listed
-from oed.mechanism.pose_slopes import PoseSlopes
+from oed.mechanism.pose_slopes import PoseEquations
 from oed.model import Machine
 
 # Commands at which a controller with the nominal model holds given poses.
@@ -72,10 +71,8 @@ class Kinematics:
         #: symbols and expressions of the machine
         self.expressions = e = MachineExpressions(machine)
         self._inverse = InverseKinematics(machine, e)
-        #: the equations of a pose
-        self.equations = ForwardKinematics(machine, e)
-        #: slopes of poses, and how near they are to singular ones
-        self.slopes = PoseSlopes(machine, e, self.equations)
+        #: the equations of a pose; as `slopes` for what they say of those
+        self.equations = self.slopes = PoseEquations(machine, e)
         twist = ca.SX.sym("twist", 6)
         entries = [twist[i] for i in range(6)]
         components = ca.vertcat(*machine.read_error(e.c_by_name, entries))
@@ -86,7 +83,10 @@ class Kinematics:
         self._struts: BatchedFunction | None = None
         if ends is not None:
             self._struts = BatchedFunction("struts", [e.x, e.q, e.p], ends)
-        self._skeleton = _skeleton_functions(machine, e)
+        self._lines = [
+            BatchedFunction(f"line{i}", [e.x, e.q, e.p], [line])
+            for i, line in enumerate(e.lines)
+        ]
 
     def with_priors_of(self, machine: Machine) -> "Kinematics":
         """The same for other tolerances and bounds. Raises ValueError for more."""
@@ -384,7 +384,7 @@ class Kinematics:
     def skeleton(self, x: Array, q: Array, p: Array) -> list[Array]:
         """Polylines (points, 3), m, of one pose (nx,) for a drawing."""
         point = (x[None], q[None], p[None])
-        return [line(*point)[0][0].T for line in self._skeleton]
+        return [line(*point)[0][0].T for line in self._lines]
 
 
 def _compensated_equations(machine: Machine, e: MachineExpressions) -> BatchedFunction:
@@ -395,23 +395,7 @@ def _compensated_equations(machine: Machine, e: MachineExpressions) -> BatchedFu
     believed = ca.SX.sym("believed", e.x.numel())
     nominal = ca.SX(ca.DM(machine.nominal))
     (controller,) = ca.substitute([e.phi], [e.x, e.p], [believed, nominal])
-    pairs = zip(e.commanded, e.target, strict=True)
-    off = [of_pose - of_command for of_pose, of_command in pairs]
-    unmet = ca.vertcat(e.balance, controller, *off)
+    unmet = ca.vertcat(e.balance, controller, e.unmet_command)
     z = ca.vertcat(e.x, believed, e.q)
     outputs = [unmet, ca.jacobian(unmet, z)]
     return BatchedFunction("compensated", [z, e.p, e.c, e.tool], outputs)
-
-
-def _skeleton_functions(
-    machine: Machine, e: MachineExpressions
-) -> list[BatchedFunction]:
-    """One function a polyline; none where the machine has no skeleton."""
-    if machine.skeleton is None:
-        return []
-    lines = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
-    inputs = [e.x, e.q, e.p]
-    return [
-        BatchedFunction(f"line{i}", inputs, [ca.horzcat(*line)])
-        for i, line in enumerate(lines)
-    ]

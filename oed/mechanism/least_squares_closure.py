@@ -38,7 +38,7 @@ def closest_closure(machine: Machine, command: Array) -> ClosestClosure:
     met = np.abs(nearest.equations) <= OPEN_SHARE * machine.lever
     still_open = tuple(int(k) for k in np.flatnonzero(~met))
     joints = [_joints(machine, e, e.phi[k]) for k in range(e.phi.numel())]
-    moving = [_joints(machine, e, line) for line in _lines(machine, e)]
+    moving = [_joints(machine, e, line) for line in e.lines]
     return ClosestClosure(guess, nearest, tuple(joints), tuple(moving), still_open)
 
 
@@ -47,9 +47,7 @@ def _least_squares(
 ) -> Array:
     """Pose and joints (nx + nq,) at which closure and command are met best."""
     z = ca.vertcat(e.x, e.q)
-    unmet_command: Expr = ca.vertcat(*e.commanded)
-    unmet_command = unmet_command - ca.vertcat(*e.target)
-    rows = ca.vertcat(e.phi, COMMAND_WEIGHT * unmet_command)
+    rows = ca.vertcat(e.phi, COMMAND_WEIGHT * e.unmet_command)
     rows = ca.substitute(
         rows, ca.vertcat(e.p, e.c, e.tool), [*machine.nominal, *command, 0.0, 0.0, 0.0]
     )
@@ -81,19 +79,11 @@ def _shape(machine: Machine, e: MachineExpressions, z: Array) -> MachineShape:
     ends = [value(ca.horzcat(*strut)).T for strut in struts]
     return MachineShape(
         equations=value(e.phi).ravel(),
-        lines=tuple(value(line).T for line in _lines(machine, e)),
+        lines=tuple(value(line).T for line in e.lines),
         struts=np.array(ends).reshape(-1, 2, 3),
         tool=value(point).ravel(),
         axes=value(rotation),
     )
-
-
-def _lines(machine: Machine, e: MachineExpressions) -> list[Expr]:
-    """The lines (3, n) that the machine draws."""
-    if machine.skeleton is None:
-        return []
-    lines = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
-    return [ca.horzcat(*line) for line in lines]
 
 
 def _joints(

@@ -1,4 +1,7 @@
-"""Slopes of poses over parameters and joints, and of what readings see of them.
+"""Poses at joints and parameters, their slopes, and those of what readings see of them.
+
+Many poses are solved together (`oed.mechanism.systems`). Where the steps do not show that a
+pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
 
 With g = dy/dx of a reading at a pose, its slopes are g dx/dp = -(g phi_x^-1) phi_p,
 where the bracket comes first: one row a reading, and not one column a parameter. Of a
@@ -10,11 +13,10 @@ import functools
 import casadi as ca
 import numpy as np
 
-from oed.base import Array, Index
+from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.expressions import MachineExpressions
-from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import AssemblyError, listed
 from oed.model import Machine
 
@@ -24,17 +26,87 @@ SINGULAR_BELOW = 1e-6
 MAX_POSE_SHARE = 0.25  #: poses over readings up to which many readings see one pose
 
 
-class PoseSlopes:
-    """Slopes of one machine's poses.
+class PoseEquations:
+    """Equations of one machine's poses: its closure, balanced where it is redundant.
 
-    Shapes: n poses, nx pose coordinates, nq joints, np parameters.
+    Shapes: n poses, m parameter vectors, nx pose coordinates, nq joints, np parameters.
+
+    equations  value (n, nx) and slope (n, nx, nx) over the pose
     """
 
-    def __init__(
-        self, machine: Machine, e: MachineExpressions, equations: ForwardKinematics
-    ) -> None:
-        self._machine, self._expressions, self._equations = machine, e, equations
+    def __init__(self, machine: Machine, e: MachineExpressions) -> None:
+        self._machine, self._expressions = machine, e
+        inputs, by_x = [e.x, e.q, e.p], ca.jacobian(e.balance, e.x)
+        self.equations = BatchedFunction("forward", inputs, [e.balance, by_x])
 
+    @functools.cached_property
+    def slopes(self) -> BatchedFunction:
+        """Slopes (n, nx, ...) of the equations over pose, parameters and joints."""
+        e = self._expressions
+        balance = e.balance
+        inputs = [e.x, e.q, e.p]
+        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p, e.q)]
+        return BatchedFunction("slopes", inputs, slopes)
+
+    @functools.cached_property
+    def adjoint(self) -> BatchedFunction:
+        """Slope (n, nx, nx) over the pose, factors (n, nx) times that over p."""
+        e = self._expressions
+        factors = ca.SX.sym("factors", e.x.numel())
+        by_x = ca.jacobian(e.balance, e.x)
+        row = ca.jtimes(e.balance, e.p, factors, True).T
+        return BatchedFunction("adjoint", [e.x, e.q, e.p, factors], [by_x, row])
+
+    def solve_all(
+        self,
+        q: Array,
+        vectors: Array,
+        start: Array,
+        step_tolerance: float,
+        wanted: Mask | None = None,
+    ) -> tuple[Array, Mask]:
+        """Poses (m, n, nx) at all joints (n, nq) and vectors (m, np), and which failed.
+
+        Starts are (n, nx) or (m, n, nx), and so can joints be. Poses that are not
+        `wanted` (m, n) are not solved, and count as failed.
+        """
+        m = len(vectors)
+        n = q.shape[-2]
+        starts = start if start.ndim == 3 else start[None]
+        if len(starts) != m:
+            starts = np.broadcast_to(starts, (m, *starts.shape[1:]))
+        if wanted is None:
+            return self.solve((starts, q, vectors[:, None]), step_tolerance)
+        rows = np.nonzero(wanted)
+        x, failed = np.full(starts.shape, np.nan), np.ones((m, n), dtype=bool)
+        every_q = np.broadcast_to(q, (m, *q.shape[-2:]))
+        inputs = starts[rows], every_q[rows], vectors[rows[0]]
+        x[rows], failed[rows] = self.solve(inputs, step_tolerance)
+        return x, failed
+
+    def solve(
+        self, inputs: tuple[Array, Array, Array], step_tolerance: float
+    ) -> tuple[Array, Mask]:
+        """Poses (n, nx) or (m, n, nx) from starts, joints, parameters, and failures."""
+        start, q, p = inputs
+        longest = newton.longest_step(self._machine.lever)
+        x, solved, near = self.equations.solve(inputs, step_tolerance, longest)
+        failed = np.zeros(solved.shape, dtype=bool)
+        if solved.all():
+            return x, failed
+        rest = np.nonzero(~solved)
+        first = np.where(near[rest][:, None], x[rest], start[rest])
+        rest_q, rest_p = (
+            np.broadcast_to(a, (*solved.shape, a.shape[-1]))[rest] for a in (q, p)
+        )
+
+        def at(x: Array, rows: Index) -> list[Array]:
+            return self.equations(x, rest_q[rows], rest_p[rows])
+
+        x[rest], failed[rest] = newton.solve(at, first, step_tolerance, longest=longest)
+        return x, failed
+
+    # -- slopes ------------------------------------------------------------------------
     @functools.cached_property
     def _closure_slope(self) -> BatchedFunction:
         e = self._expressions
@@ -47,7 +119,7 @@ class PoseSlopes:
 
     def pose_by_parameter(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
-        by_x, by_p, _ = self._equations.slopes(x, q, p)
+        by_x, by_p, _ = self.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_p)
 
     def pull_back(
@@ -59,9 +131,7 @@ class PoseSlopes:
 
         Also returns bounds (n,) on the condition numbers; see `surely_regular`.
         """
-        rows, condition = self._equations.adjoint.pull_back(
-            [x, q, p], slopes, self._scale
-        )
+        rows, condition = self.adjoint.pull_back([x, q, p], slopes, self._scale)
         rest = np.flatnonzero(~np.isfinite(condition))
         if rest.size:
             sensitivity, condition[rest] = self.pose_by_parameter_with_condition(
@@ -74,7 +144,7 @@ class PoseSlopes:
         self, x: Array, q: Array, p: Array
     ) -> tuple[Array, Array]:
         """dx/dp (n, nx, np), joints fixed, and |phi_x| |phi_x^-1| (n,)."""
-        by_x, by_p, _ = self._equations.slopes(x, q, p)
+        by_x, by_p, _ = self.slopes(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         inverse = newton.solve_linear(by_x, identity)
         norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
@@ -93,7 +163,7 @@ class PoseSlopes:
 
     def pose_by_joint(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
-        by_x, _, by_q = self._equations.slopes(x, q, p)
+        by_x, _, by_q = self.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_q)
 
     def check_regular(self, x: Array, q: Array, p: Array) -> None:
@@ -127,7 +197,7 @@ class PoseAdjoints:
     q  (m, poses, nq) joints of each
     """
 
-    def __init__(self, slopes: PoseSlopes, x: Array, q: Array, p: Array) -> None:
+    def __init__(self, slopes: PoseEquations, x: Array, q: Array, p: Array) -> None:
         self._slopes, self._x, self._q, self._p = slopes, x, q, p
         self._is_regular = False
 

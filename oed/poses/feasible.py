@@ -157,8 +157,7 @@ class Clearance:
             raise ValueError(
                 f"{machine.name} has no skeleton: its links cannot be checked"
             )
-        drawn = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
-        lines = [list(line) for line in drawn]
+        lines = [ca.horzsplit(line) for line in e.lines]
         unknown = set(ignore) - set(range(len(lines)))
         if unknown:
             raise ValueError(

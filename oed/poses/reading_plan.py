@@ -59,8 +59,7 @@ class SymbolicReading:
 def symbolic_pose(kinematics: Kinematics) -> SymbolicPose:
     """Equations of one pose at nominal parameters."""
     machine, e = kinematics.machine, kinematics.expressions
-    errors = [a - b for a, b in zip(e.commanded, e.target, strict=True)]
-    equations = ca.vertcat(e.phi, *errors)
+    equations = ca.vertcat(e.phi, e.unmet_command)
     slope = ca.jacobian(e.phi, e.x)
     residual, phi_x = _nominal_values(machine, e.p, equations, slope)
     levers = [1.0 if item.unit == "rad" else machine.lever for item in machine.pose]

@@ -209,14 +209,13 @@ def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
     middle = forms[len(forms) // 2]
     targets = []
     signature = middle.signature
-    kinds: dict[str, list[str]] = {}
-    for k in np.flatnonzero(~signature.shape):
-        name = signature.names[k]
-        kind = name.removeprefix(signature.labels[k])
-        kinds.setdefault(kind, []).append(name)
+    kinds = [
+        [signature.names[k] for k in columns if not signature.shape[k]]
+        for columns in signature.kinds.values()
+    ]
     # all legs alike, for each kind of textbook coefficient, and each one alone
-    alike = [kind for kind in kinds.values() if len(kind) > 1]
-    for members in alike + [[name] for kind in kinds.values() for name in kind]:
+    alike = [kind for kind in kinds if len(kind) > 1]
+    for members in alike + [[name] for kind in kinds for name in kind]:
         shares = np.isin(signature.names, members).astype(float)
         phrase = combination_words(dict.fromkeys(members, 1.0))
         targets += [Target(middle, shares, phrase, rival) for rival in rivals]

@@ -55,6 +55,7 @@ class Paths:
         joints = [state.joints for state in problem.states]
         self._joints = discrepancy.values_of_poses(problem, joints)[:, 0]
         self._runs = problem.members
+        self._run = problem.structure.run[problem.structure.chain]
         readings = problem.rows.groupby(["setup", "run", "order"], sort=False)
         self._reading = readings.ngroup().to_numpy()
         self._setup = problem.rows["setup"].to_numpy()
@@ -144,10 +145,7 @@ class Paths:
 
     def _units(self, part: Index) -> Index:
         """Number (N,) of each reading's pair of run and part (N,)."""
-        run = np.empty(self._size, dtype=np.intp)
-        for k, members in enumerate(self._runs):
-            run[members] = k
-        pairs = np.column_stack([run, part])
+        pairs = np.column_stack([self._run, part])
         number = np.unique(pairs, axis=0, return_inverse=True)[1]
         return number.astype(np.intp).ravel()
 

@@ -206,10 +206,8 @@ def replicates(problem: GapProblem) -> Replicates:
     chosen = np.linspace(0, len(poses) - 1, min(len(poses), MAX_POSES)).astype(np.intp)
     rows = np.flatnonzero(np.isin(cell, poses[chosen]))
     numbers = np.unique(cell[rows], return_inverse=True)[1].astype(np.intp)
-    run = np.empty(len(problem), dtype=np.intp)
-    for k, members in enumerate(problem.members):
-        run[members] = k
-    runs_of = pd.Series(run[rows]).groupby(numbers).nunique()
+    run = problem.structure.run[problem.structure.chain[rows]]
+    runs_of = pd.Series(run).groupby(numbers).nunique()
     return Replicates(rows, numbers, bool((runs_of == 1).all()))
 
 

@@ -57,6 +57,14 @@ class Signature:
             shape=self.shape[numbers],
         )
 
+    @property
+    def kinds(self) -> dict[str, list[int]]:
+        """Columns by their names without the limb's."""
+        kinds: dict[str, list[int]] = {}
+        for k, (name, label) in enumerate(zip(self.names, self.labels, strict=True)):
+            kinds.setdefault(name.removeprefix(label).strip(), []).append(k)
+        return kinds
+
     def columns_of(self, names: Sequence[str]) -> Array:
         """Columns (N, k) of some coefficients; 0 of those that change no reading."""
         columns = np.zeros((len(self.columns), len(names)))

@@ -316,7 +316,7 @@ def _alike(form: Signature) -> Signature | None:
     in the textbook's columns. None where limbs do not have the same kinds of columns,
     or are too many.
     """
-    kinds = _kinds(form)
+    kinds = form.kinds
     limbs = set(form.labels)
     if not 2 <= len(limbs) <= MAX_LIMBS or "" in limbs:
         return None
@@ -338,15 +338,6 @@ def _alike(form: Signature) -> Signature | None:
         scales=np.concatenate([scales, LIMB_DIFFERENCE * form.scales[textbook]]),
         shape=np.array([*shape, *[False] * len(textbook)], dtype=bool),
     )
-
-
-def _kinds(form: Signature) -> dict[str, list[int]]:
-    """Columns by their names without the limb's."""
-    kinds: dict[str, list[int]] = {}
-    for k, (name, label) in enumerate(zip(form.names, form.labels, strict=True)):
-        kind = name.removeprefix(label).strip()
-        kinds.setdefault(kind, []).append(k)
-    return kinds
 
 
 def _atoms(

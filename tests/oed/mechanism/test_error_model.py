@@ -17,9 +17,8 @@ from oed.mechanism import (
 )
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.expressions import MachineExpressions
-from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import InverseKinematics
-from oed.mechanism.pose_slopes import PoseAdjoints
+from oed.mechanism.pose_slopes import PoseAdjoints, PoseEquations
 from oed.model import Machine
 
 A3 = Kinematics(a3_head.machine)
@@ -89,7 +88,7 @@ def test_forward_undoes_inverse_and_slopes_are_differences():
     inverse = InverseKinematics(a3_head.machine, expressions)
     x, q = inverse.solve(COMMAND, NOMINAL, np.zeros(3))
     np.testing.assert_allclose(q, a3.inverse_nominal(*COMMAND.T, 0.0), atol=1e-12)
-    forward = ForwardKinematics(a3_head.machine, expressions)
+    forward = PoseEquations(a3_head.machine, expressions)
     assert np.abs(forward.equations(x, q, NOMINAL)[0]).max() < 1e-12
     by_pose, by_parameter, _ = forward.slopes(x, q, NOMINAL)
     over_pose, over_parameter, over_joint = forward.slopes(x, q, NOMINAL)
