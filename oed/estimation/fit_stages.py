@@ -25,6 +25,7 @@ class ReadingsFit:
     measurement: Measurement
     series: Sequence[Series]
     y: Array
+    stated: Noise
     max_iterations: int
 
     def check_readings(self) -> None:
@@ -50,12 +51,10 @@ class ReadingsFit:
             )
         return np.where(freed, self.measurement.tolerance, 0.0)
 
-    def coordinates(
-        self, theta: Array, noise: Noise, tolerance: Array
-    ) -> IdentifiableCoordinates:
-        """Identifiable coordinates with H taken at theta (n,)."""
+    def coordinates(self, theta: Array, tolerance: Array) -> IdentifiableCoordinates:
+        """Identifiable coordinates with H taken at theta (n,), under the stated noise."""
         return IdentifiableCoordinates.of(
-            self.measurement, self.series, theta, noise, tolerance
+            self.measurement, self.series, theta, self.stated, tolerance
         )
 
     def residuals(self, theta: Array) -> Array:
@@ -104,12 +103,10 @@ class ReadingsFit:
             )
         return minima.z[0], int(minima.evaluations[0])
 
-    def covariance(
-        self, theta: Array, noise: Noise, tolerance: Array
-    ) -> tuple[Array, Array]:
+    def covariance(self, theta: Array, tolerance: Array) -> tuple[Array, Array]:
         """Covariance (n, n), SI, and share (N,) of each reading it uses up."""
         freed = tolerance > 0.0
-        white = noise.whiten(self.measurement.jacobian(self.series, theta))
+        white = self.stated.whiten(self.measurement.jacobian(self.series, theta))
         h = self.measurement.in_prior_units(white, freed)
         scaled = posterior_covariance(h)
         leverage = np.einsum("ij,jk,ik->i", h, scaled, h)
@@ -117,49 +114,27 @@ class ReadingsFit:
 
 
 def preliminary_stage(
-    fit: ReadingsFit,
-    noise: Noise,
-    theta: Array,
-    residuals: Array,
-    patterns: Sequence[str],
-) -> tuple[Array, Array, FitStage]:
-    """A stage that only finds a start: theta (n,), residuals (N,) there, a summary."""
-    coordinates = fit.coordinates(theta, noise, fit.tolerances(patterns))
-    z, iterations = fit.solve(noise, coordinates, theta)
+    fit: ReadingsFit, theta: Array, patterns: Sequence[str]
+) -> tuple[Array, FitStage]:
+    """A stage that only finds a start: theta (n,), and a summary."""
+    coordinates = fit.coordinates(theta, fit.tolerances(patterns))
+    z, iterations = fit.solve(fit.stated, coordinates, theta)
     solution = coordinates.to_theta(z)
-    after = fit.residuals(solution)
-    stage = FitStage(
-        patterns=tuple(patterns),
-        iterations=iterations,
-        rms_before=_rms(noise.whiten(residuals)),
-        rms_after=_rms(noise.whiten(after)),
-    )
-    return solution, after, stage
+    ends = fit.residuals(theta), fit.residuals(solution)
+    return solution, _summary(fit, patterns, iterations, ends)
 
 
-def last_stage(
-    fit: ReadingsFit,
-    noise: Noise,
-    theta: Array,
-    start_residuals: Array,
-    patterns: Sequence[str],
-) -> Estimate:
-    """The last stage from theta (n,), with known noise."""
-    tolerance = fit.tolerances(patterns)
+def last_stage(fit: ReadingsFit, theta: Array, patterns: Sequence[str]) -> Estimate:
+    """The last stage from theta (n,), with the stated noise."""
+    before, tolerance = fit.residuals(theta), fit.tolerances(patterns)
     # Twice: the coordinates of the result are those of H at the result.
     for _ in range(2):
-        coordinates = fit.coordinates(theta, noise, tolerance)
-        z, iterations = fit.solve(noise, coordinates, theta)
+        coordinates = fit.coordinates(theta, tolerance)
+        z, iterations = fit.solve(fit.stated, coordinates, theta)
         theta = coordinates.to_theta(z)
     residuals = fit.residuals(theta)
-    covariance, leverage = fit.covariance(theta, noise, tolerance)
-    white = noise.whiten(residuals)
-    stage = FitStage(
-        patterns=tuple(patterns),
-        iterations=iterations,
-        rms_before=_rms(noise.whiten(start_residuals)),
-        rms_after=_rms(white),
-    )
+    covariance, leverage = fit.covariance(theta, tolerance)
+    white = fit.stated.whiten(residuals)
     return Estimate(
         theta=theta,
         covariance=covariance,
@@ -167,13 +142,24 @@ def last_stage(
         coordinates=coordinates,
         z=z,
         residuals=residuals,
-        residuals_before=start_residuals,
-        noise=noise,
+        residuals_before=before,
+        noise=fit.stated,
         dof=len(fit.y) - float(leverage.sum()),
         chi2=float(white @ white),
-        stages=(stage,),
+        stages=(_summary(fit, patterns, iterations, (before, residuals)),),
         warnings=(),
     )
+
+
+def _summary(
+    fit: ReadingsFit,
+    patterns: Sequence[str],
+    iterations: int,
+    ends: tuple[Array, Array],
+) -> FitStage:
+    """A stage by the residuals (N,), SI, where it starts and ends."""
+    before, after = (_rms(fit.stated.whiten(residuals)) for residuals in ends)
+    return FitStage(tuple(patterns), iterations, before, after)
 
 
 def _rms(values: Array) -> float:

@@ -62,20 +62,18 @@ MIN_SIZE = 0.1
 
 def stage_with_effects(
     fit: ReadingsFit,
-    stated: Noise,
     theta: Array,
-    start_residuals: Array,
     patterns: Sequence[str],
     discrepancy: Discrepancy,
     rng: np.random.Generator,
     near: Estimate | None,
 ) -> Estimate:
     """The last stage from theta (n,), with effects and noise law integrated over."""
-    exact = last_stage(fit, stated, theta, start_residuals, patterns)
+    exact = last_stage(fit, theta, patterns)
     structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
     mode = mode_of(near, prior)
     if mode is None:
-        settled = settle_law(fit, stated, exact, structure, prior)
+        settled = settle_law(fit, exact, structure, prior)
         theta = settled.coordinates.to_theta(settled.model.centre)
         mode = settled.mode
     starts: list[tuple[Array, Array | None]] = [(theta, mode)]
@@ -104,11 +102,11 @@ def stage_with_effects(
         covariance += weight * one.parameter_covariance()
     first = dataclasses.replace(exact, theta=theta)
     wide = dataclasses.replace(structure, effects=alternation.widened(sizes))
-    final = settle_law(fit, stated, first, wide, prior, best.mode)
+    final = settle_law(fit, first, wide, prior, best.mode)
     estimate = integrate_settled(fit, first, final)
     null = estimate.coordinates.null_basis
     residuals = fit.residuals(theta)
-    white = stated.whiten(residuals - sampled.changes)
+    white = fit.stated.whiten(residuals - sampled.changes)
     law_alone = prior.laws(best.mode[None]).noise(structure)
     jacobian = fit.measurement.jacobian(fit.series, theta)
     return dataclasses.replace(
@@ -182,7 +180,7 @@ class _Alternation:
         """Readings about parameters (n,), or nearer to those without effects."""
         fit = self.fit
         theta = fit.closing(self.exact.theta, theta)
-        coordinates = fit.coordinates(theta, self.exact.noise, self.exact.prior_sd)
+        coordinates = fit.coordinates(theta, self.exact.prior_sd)
         residual, slopes = fit.linearise(self.structure, coordinates, theta)
         about_nominal = residual + slopes @ coordinates.from_theta(theta)
         return _LinearReadings(coordinates, about_nominal, slopes)
@@ -332,27 +330,25 @@ def identify(
     >>> bool(np.abs(deviations[measurement.free]).max() < 4.0)
     True
     """
-    fit = ReadingsFit(measurement, series, y, max_iterations)
-    fit.check_readings()
     stated = measurement.noise(series) if noise is None else Noise.of(noise)
+    fit = ReadingsFit(measurement, series, y, stated, max_iterations)
+    fit.check_readings()
     theta = measurement.start if start is None else start
-    residuals_before = residuals = fit.residuals(theta)
+    residuals_before = fit.residuals(theta)
     try:
         done = []
         for patterns in stages[:-1]:
-            theta, residuals, stage = preliminary_stage(
-                fit, stated, theta, residuals, patterns
-            )
+            theta, stage = preliminary_stage(fit, theta, patterns)
             done.append(stage)
         if discrepancy is not None:
             rng = np.random.default_rng(0) if rng is None else rng
             estimate = stage_with_effects(
-                fit, stated, theta, residuals, stages[-1], discrepancy, rng, near
+                fit, theta, stages[-1], discrepancy, rng, near
             )
         elif estimate_noise:
-            estimate = integrated_stage(fit, stated, theta, residuals, stages[-1], near)
+            estimate = integrated_stage(fit, theta, stages[-1], near)
         else:
-            estimate = last_stage(fit, stated, theta, residuals, stages[-1])
+            estimate = last_stage(fit, theta, stages[-1])
     except AssemblyError as error:
         raise IdentificationError(
             "every reading has a pose at the start, and after a step of the fit"

@@ -69,12 +69,7 @@ class SettledLaw:
 
 
 def integrated_stage(
-    fit: ReadingsFit,
-    stated: Noise,
-    theta: Array,
-    start_residuals: Array,
-    patterns: Sequence[str],
-    near: Estimate | None = None,
+    fit: ReadingsFit, theta: Array, patterns: Sequence[str], near: Estimate | None
 ) -> Estimate:
     """The last stage from theta (n,), with the noise law integrated over.
 
@@ -82,23 +77,23 @@ def integrated_stage(
     ones. What the model lacks passes for a course: the law has one only where it is not
     contradicted without, or where single readings scatter as stated beside it.
     """
-    first = last_stage(fit, stated, theta, start_residuals, patterns)
+    first = last_stage(fit, theta, patterns)
     structure, with_course = structure_and_prior(fit, first)
     prior = with_course.without(NoisePrior.COURSE)
-    settled = settle_law(fit, stated, first, structure, prior, mode_of(near, prior))
+    settled = settle_law(fit, first, structure, prior, mode_of(near, prior))
     model = settled.model
     about_nominal = model.residual + model.slopes @ model.centre
     check = check_law(structure, settled.law, about_nominal, model.slopes)
     robust = settled.robust
     if NoisePrior.COURSE in with_course.names:
         mode = mode_of(near, with_course)
-        settled = settle_law(fit, stated, first, structure, with_course, mode)
+        settled = settle_law(fit, first, structure, with_course, mode)
     if not check.is_contradicted:
         estimate = integrate_settled(fit, first, settled)
         return dataclasses.replace(estimate, law_check=check)
     if NoisePrior.COURSE in with_course.names and _scatters_as_stated(settled.law):
         return integrate_settled(fit, first, settled)
-    return _stated_weights(robust, fit, stated, first, check)
+    return _stated_weights(robust, fit, first, check)
 
 
 def _scatters_as_stated(law: Laws) -> bool:
@@ -108,19 +103,14 @@ def _scatters_as_stated(law: Laws) -> bool:
 
 
 def _stated_weights(
-    robust: ReadingsFit,
-    fit: ReadingsFit,
-    stated: Noise,
-    first: Estimate,
-    check: "LawCheck",
+    robust: ReadingsFit, fit: ReadingsFit, first: Estimate, check: "LawCheck"
 ) -> Estimate:
     """The fit, far readings replaced, by stated weights with the law's intervals."""
     (stage,) = first.stages
-    before = first.residuals_before
-    by_stated = last_stage(robust, stated, first.theta, before, stage.patterns)
+    by_stated = last_stage(robust, first.theta, stage.patterns)
     estimate = by_stated.widened(check.widening)
     residuals = fit.residuals(estimate.theta)
-    white = stated.whiten(residuals)
+    white = fit.stated.whiten(residuals)
     return dataclasses.replace(
         estimate,
         residuals=residuals,
@@ -164,7 +154,6 @@ def mode_of(estimate: Estimate | None, prior: NoisePrior) -> Array | None:
 
 def settle_law(
     fit: ReadingsFit,
-    stated: Noise,
     first: Estimate,
     structure: ReadingStructure,
     prior: NoisePrior,
@@ -172,7 +161,7 @@ def settle_law(
 ) -> SettledLaw:
     """Fit, outliers, law in turn, from law coordinates (d,) or as stated."""
     theta = first.theta
-    noise = stated
+    noise = fit.stated
     law = Laws.stated(structure)
     if near is not None:
         law = prior.laws(near[None])
@@ -181,7 +170,7 @@ def settle_law(
     mode = near
     has_settled = False
     for _ in range(MAX_ROUNDS):
-        coordinates = fit.coordinates(theta, stated, first.prior_sd)
+        coordinates = fit.coordinates(theta, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)
         theta = coordinates.to_theta(z)
         residual, slopes = fit.linearise(structure, coordinates, theta)
@@ -220,7 +209,7 @@ def integrate_settled(
     theta = coordinates.to_theta(settled.model.centre)
     theta = fit.closing(theta, coordinates.to_theta(posterior.mean))
     residuals = fit.residuals(theta)
-    white = first.noise.whiten(residuals)
+    white = fit.stated.whiten(residuals)
     basis, null = coordinates.basis, coordinates.null_basis
     stage = dataclasses.replace(first.stages[-1], iterations=settled.iterations)
     return dataclasses.replace(

@@ -19,7 +19,7 @@ def test_a_step_to_parameters_that_do_not_close_is_halved():
     home = linear_delta.machine.home_command
     series = [measurement.series("tracker", home[None])]
     y = measurement.readings(series, measurement.nominal)
-    fit = ReadingsFit(measurement, series, y, 20)
+    fit = ReadingsFit(measurement, series, y, measurement.noise(series), 20)
     start = measurement.nominal
     wanted = -2.0 * start
     assert not np.isfinite(measurement.try_readings(series, wanted)).all()

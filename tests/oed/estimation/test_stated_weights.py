@@ -77,10 +77,10 @@ def test_noise_as_stated_has_its_law():
 
 
 def test_a_law_that_does_not_settle_says_so(monkeypatch):
-    fit = ReadingsFit(MEASUREMENT, SERIES, readings_with_wave(0.0), 100)
-    stated, nominal = MEASUREMENT.noise(SERIES), MEASUREMENT.nominal
-    first = last_stage(fit, stated, nominal, fit.residuals(nominal), ("*",))
+    stated, y = MEASUREMENT.noise(SERIES), readings_with_wave(0.0)
+    fit = ReadingsFit(MEASUREMENT, SERIES, y, stated, 100)
+    first = last_stage(fit, MEASUREMENT.nominal, ("*",))
     structure, prior = law_stage.structure_and_prior(fit, first)
-    assert law_stage.settle_law(fit, stated, first, structure, prior).has_settled
+    assert law_stage.settle_law(fit, first, structure, prior).has_settled
     monkeypatch.setattr(law_stage, "MAX_ROUNDS", 1)
-    assert not law_stage.settle_law(fit, stated, first, structure, prior).has_settled
+    assert not law_stage.settle_law(fit, first, structure, prior).has_settled
