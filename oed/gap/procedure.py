@@ -1,6 +1,7 @@
 """Diagnosis of residuals: noise law, effects, places, closure and advice."""
 
 import dataclasses
+import functools
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from oed.gap.cause import answers, closure, locations, withheld
 from oed.gap.cause.compare import (
     MAX_RIVAL_SIZE,
     Comparison,
+    SearchOf,
     compare_expanded,
     posterior_mean,
     probabilities,
@@ -176,14 +178,13 @@ def diagnose(
     'none'
     """
     comparison = _compare(problem, effects, law)
-    searched, hypotheses = comparison.searches, comparison.hypotheses
     refuted: list[Key] = []
     while True:
-        diagnosis, best = conclude(problem, searched, hypotheses, effects, refuted)
+        diagnosis, best = conclude(comparison, effects, refuted)
         if diagnosis.verdict in NO_EFFECT:
             nothing = tuple(closure.not_scored(split) for split in SPLITS)
             return dataclasses.replace(diagnosis, closure=nothing)
-        search = searched[best.law]
+        search = comparison.searches[best.law]
         where = _locate(search, best, effects, diagnosis.law, rng)
         models = withheld.models(search, best)
         closures = tuple(
@@ -202,37 +203,29 @@ def explain_residuals(
     problem: GapProblem, effects: Sequence[Effect], *, law: NoiseLaw | None = None
 ) -> Diagnosis:
     """As `diagnose`, without places and closure: which effects act."""
-    comparison = _compare(problem, effects, law)
-    searched, hypotheses = comparison.searches, comparison.hypotheses
-    return conclude(problem, searched, hypotheses, effects)[0]
+    return conclude(_compare(problem, effects, law), effects)[0]
 
 
 def _compare(
     problem: GapProblem, effects: Sequence[Effect], law: NoiseLaw | None
 ) -> Comparison:
     """Hypotheses under all noise laws that suit, or under the one that is known."""
-
-    def search(about: GapProblem) -> list[Search]:
-        if law is None:
-            return searches(about, effects)
-        return searches_under(about, effects, law)
-
+    search: SearchOf = functools.partial(searches, effects=effects)
+    if law is not None:
+        search = functools.partial(searches_under, effects=effects, law=law)
     return compare_expanded(problem, effects, search)
 
 
 def conclude(
-    problem: GapProblem,
-    searched: Sequence[Search],
-    hypotheses: Sequence[Hypothesis],
-    effects: Sequence[Effect],
-    refuted: Sequence[Key] = (),
+    comparison: Comparison, effects: Sequence[Effect], refuted: Sequence[Key] = ()
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis by searches under several noise laws, without places and closure.
 
     The second result is the hypothesis that the first answer stands for. What `refuted`
     names is not concluded.
     """
-    hypotheses, left_out = _believed(searched, hypotheses, refuted)
+    searched = comparison.searches
+    hypotheses, left_out = _believed(comparison, refuted)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
@@ -268,7 +261,7 @@ def conclude(
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
-        noise_words=law.describe(problem.structure.longest),
+        noise_words=law.describe(search.given.structure.longest),
         likeness=_likeness(search, best),
         nearest=nearest_effects(search, best),
         where=(),
@@ -288,11 +281,11 @@ def conclude(
 
 
 def _believed(
-    searched: Sequence[Search], hypotheses: Sequence[Hypothesis], refuted: Sequence[Key]
+    comparison: Comparison, refuted: Sequence[Key]
 ) -> tuple[list[Hypothesis], tuple[str, ...]]:
     """Hypotheses, best first, as withheld runs leave them, and names left out."""
-    pooled = withheld.pooled(searched, hypotheses)
-    believed, left_out = without_implausible(searched, pooled)
+    pooled = withheld.pooled(comparison.searches, comparison.hypotheses)
+    believed, left_out = without_implausible(comparison.searches, pooled)
     for key in refuted:
         believed = without(believed, key)
         left_out = (*left_out, *sorted(key[0]))

@@ -142,19 +142,19 @@ class DetectabilityRecord(Record, frozen=True):
 
     name: str
     about: str
-    columns: int
-    detectability: float
-    low: float
-    high: float
-    power: float
-    visible: bool
-    signature: dict[str, float]
-    absorbed: float
-    least: dict[str, float | None]
-    median: dict[str, float | None]
-    sizes: dict[str, float | None]
-    rivals: list[RivalRecord]
-    not_testable: str | None
+    columns: int = 0
+    detectability: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    power: float = 0.0
+    visible: bool = False
+    signature: dict[str, float] = {}
+    absorbed: float = 0.0
+    least: dict[str, float | None] = {}
+    median: dict[str, float | None] = {}
+    sizes: dict[str, float | None] = {}
+    rivals: list[RivalRecord] = []
+    not_testable: str | None = None
 
 
 class DetectabilityTable(Record, frozen=True):

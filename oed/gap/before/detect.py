@@ -393,9 +393,11 @@ def detect(
     }
     records = []
     for effect in effects:
-        if effect.name in forms.reasons:
-            record = _untestable(effect, forms.reasons[effect.name])
-        else:
+        reason = forms.reasons.get(effect.name)
+        record = DetectabilityRecord(
+            effect.name, effect.about, power=FALSE_ALARM, not_testable=reason
+        )
+        if reason is None:
             record = _record(problem, left, energy, effect, rng)
         records.append(record)
     testable = [record for record in records if record.not_testable is None]
@@ -427,26 +429,6 @@ def _fine_units(measurement: Measurement) -> dict[str, str]:
     for setup in measurement.setups.values():
         fine |= {c.name: units.FINE[c.unit] for c in setup.instrument.channels}
     return fine
-
-
-def _untestable(effect: Effect, reason: str) -> DetectabilityRecord:
-    return DetectabilityRecord(
-        name=effect.name,
-        about=effect.about,
-        columns=0,
-        detectability=0.0,
-        low=0.0,
-        high=0.0,
-        power=FALSE_ALARM,
-        visible=False,
-        signature={},
-        absorbed=0.0,
-        least={},
-        median={},
-        sizes={},
-        rivals=[],
-        not_testable=reason,
-    )
 
 
 def _record(
@@ -495,7 +477,6 @@ def _record(
         median=median,
         sizes=_least_sizes(forms, grams, needed),
         rivals=sorted(rivals, key=lambda rival: rival.separation),
-        not_testable=None,
     )
 
 

@@ -58,10 +58,10 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     )
     first = [search_under(p.mode, 0.0) for p in (plain, wide)]
     gaps: dict[Forms, LawPosterior] = {}
-    level = _add_best_gaps(gaps, clean, first)
+    level = _add_best_gaps(gaps, first)
     if level > MAX_NOISE_LEVEL:
         further = [search_under(p.mode, 0.0) for p in gaps.values()]
-        _add_best_gaps(gaps, clean, further)
+        _add_best_gaps(gaps, further)
         first += further
     candidates = _candidates(first)
 
@@ -78,7 +78,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
 
     results = search_all(())
     count = len(gaps)
-    _add_scarce(gaps, clean, results)
+    _add_scarce(gaps, results)
     return results if len(gaps) == count else search_all(results)
 
 
@@ -142,9 +142,7 @@ def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
 
 
 def _add_best_gaps(
-    posteriors: dict[Forms, LawPosterior],
-    problem: GapProblem,
-    searches: Sequence[Search],
+    posteriors: dict[Forms, LawPosterior], searches: Sequence[Search]
 ) -> float:
     """Add the law's posterior with the best gap of each search in the model.
 
@@ -156,34 +154,29 @@ def _add_best_gaps(
         gap = next(h for h in search.run() if h.is_gap)
         levels.append(search.noise_level(gap))
         search.release()
-        _add_gap(posteriors, problem, search, gap)
+        _add_gap(posteriors, search, gap)
     return max(levels)
 
 
 def _add_gap(
-    posteriors: dict[Forms, LawPosterior],
-    problem: GapProblem,
-    search: Search,
-    gap: Hypothesis,
+    posteriors: dict[Forms, LawPosterior], search: Search, gap: Hypothesis
 ) -> None:
     """Add the law's posterior with a gap in the model, unless it is there."""
     forms = (tuple(sorted(gap.atoms)), gap.process)
     if forms not in posteriors:
         columns = gap.columns(search.library, search.processes)
-        compressed = evidence.compress(problem, [Block.of(columns)])
-        posteriors[forms] = evidence.posterior(problem, compressed)
+        compressed = evidence.compress(search.problem, [Block.of(columns)])
+        posteriors[forms] = evidence.posterior(search.problem, compressed)
 
 
 def _add_scarce(
-    posteriors: dict[Forms, LawPosterior],
-    problem: GapProblem,
-    searches: Sequence[Search],
+    posteriors: dict[Forms, LawPosterior], searches: Sequence[Search]
 ) -> None:
     """Add the posteriors with the likely gaps whose evidence rests on few laws."""
     hypotheses = compare(searches)
     for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
         if h.is_gap and share > 0.05 and h.effective_laws < 3.0:
-            _add_gap(posteriors, problem, searches[h.law], h)
+            _add_gap(posteriors, searches[h.law], h)
 
 
 # -- the wide model --------------------------------------------------------------------

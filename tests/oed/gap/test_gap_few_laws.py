@@ -46,7 +46,7 @@ def test_laws_are_drawn_where_a_likely_gap_rests_on_few():
         shares = special.softmax([h.log_evidence for h in alike])
         assert best.effective_laws == pytest.approx(1.0 / (shares**2).sum())
         posteriors: dict = {}
-        searching._add_scarce(posteriors, problem, several)
+        searching._add_scarce(posteriors, several)
         assert len(posteriors) == count
 
 

@@ -9,7 +9,7 @@ from kernel import gap_lines
 from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnosing
 from oed.gap.cause import locations
-from oed.gap.cause.compare import compare
+from oed.gap.cause.compare import Comparison, compare
 from oed.gap.cause.locations import STANDING_OUT, LikelyForms, ReversedForms
 from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
@@ -105,7 +105,8 @@ def test_a_worn_place_of_a_leg_is_no_backlash_beside_something():
     acting = problem.with_residual(problem.residual + change)
     effects = (backlash.effect, friction.effect)
     searches = [gap_lines.search_of(acting, effects, discrepancy.build(acting))]
-    diagnosis, best = diagnosing.conclude(acting, searches, compare(searches), effects)
+    comparison = Comparison(tuple(searches), tuple(compare(searches)))
+    diagnosis, best = diagnosing.conclude(comparison, effects)
     assert best.key == (frozenset(), True)
     assert next(iter(diagnosis.likeness)) == (
         "an error of leg 1 over the workspace, different each way"
