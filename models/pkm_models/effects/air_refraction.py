@@ -20,13 +20,6 @@ PER_HPA = 0.27e-6  #: change of a length by the air's pressure, 1 / hPa
 SCALE = float(np.hypot(PER_KELVIN, 3.0 * PER_HPA))
 #: channels along the beam of interferometers
 BEAMS = {"rm1": {"dy": 1}, "rm2": {"dz": 2}, "rm5": {"dy": 1}}
-#: instruments that read points about the place where they stand
-STATIONS = (
-    "pose_tracker",
-    "pose_tracker_position",
-    "laser_ball_bar",
-    "laser_ball_bar_position",
-)
 
 
 def columns(state: State) -> Iterable[Column]:
@@ -60,7 +53,7 @@ effect = Effect(
     about="a laser whose wavelength is not corrected for the air",
     columns=columns,
     units={"*per kelvin": "1/K", "*": "1"},
-    instruments=(*BEAMS, *STATIONS),
+    instruments=(*BEAMS, *references.STATIONS),
     remedy="measure temperature and pressure of the air in the beam, and correct by them",
     check="the weather station, and what was typed in for it",
     nature=natures.REFERENCE,

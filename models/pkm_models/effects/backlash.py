@@ -25,16 +25,9 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     unit, position = terms.joint_per_metre(state), terms.travel_position(state)
     behind = -0.5 * state.motion_sign * unit
     fresh = np.exp(-state.travel_since_reversal / (distance * unit))
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        half = behind[:, i]
-        yield Column(leg, PLAY, leg, {i: half})
-        for name, form in (
-            ("slope", position[:, i]),
-            ("middle", position[:, i] ** 2),
-            ("fresh", fresh[:, i]),
-        ):
-            yield terms.adapting(f"{leg} {name}", PLAY, leg, {i: half * form})
+    forms = {"slope": position, "middle": position**2, "fresh": fresh}
+    shapes = {name: behind * form for name, form in forms.items()}
+    return terms.by_leg(PLAY, behind, shapes)
 
 
 effect = Effect(

@@ -5,7 +5,7 @@ of a glass scale, 50 ppm of a screw.
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State
-from pkm_models.effects import natures
+from pkm_models.effects import natures, terms
 
 SCALE = 50e-6
 
@@ -16,10 +16,7 @@ def columns(state: State) -> Iterable[Column]:
     Where q is counted from is the joint's zero, which is geometry: its tolerance is that
     of a zero within the travel, so that no scale error may move it from further away.
     """
-    middle = state.joint_range.mean(axis=0)
-    for i in state.limbs:
-        travel = state.joints[:, i] - middle[i]
-        yield Column(f"leg {i + 1}", SCALE, f"leg {i + 1}", {i: travel})
+    return terms.by_leg(SCALE, state.joints - state.joint_range.mean(axis=0))
 
 
 effect = Effect(

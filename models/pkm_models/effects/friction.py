@@ -47,12 +47,9 @@ def columns(state: State, distance: float) -> Iterable[Column]:
         np.exp(-np.abs(terms.rate_share(state)) / STRIBECK),
         0.0,
     )
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
-        for name, form in (("load", load), ("slow", slow), ("slope", position)):
-            change = {i: behind[:, i] * form[:, i]}
-            yield terms.adapting(f"{leg} {name}", WIND_UP, leg, change)
+    forms = {"load": load, "slow": slow, "slope": position}
+    shapes = {name: behind * form for name, form in forms.items()}
+    return terms.by_leg(WIND_UP, behind, shapes)
 
 
 effect = Effect(

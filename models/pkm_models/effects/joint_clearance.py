@@ -13,11 +13,8 @@ from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
-SOFT = (
-    0.01,
-    0.05,
-    0.2,
-)  # share of the load within which a joint is not yet at its stop
+#: share of the load within which a joint is not yet at its stop
+SOFT = (0.01, 0.05, 0.2)
 
 
 def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
@@ -27,17 +24,12 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
     """
     pull = terms.joint_load(state, ratio)[0] * state.joint_per_length
     half = 0.5 * state.joint_per_length
-    position = terms.travel_position(state)
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        side = np.tanh(pull[:, i] / soft)
-        yield Column(leg, PLAY, leg, {i: half[:, i] * side})
-        for name, form in (
-            ("harder", np.tanh(pull[:, i] / (0.3 * soft))),
-            ("slope", position[:, i] * (side - side.mean())),
-        ):
-            change = {i: half[:, i] * form}
-            yield terms.adapting(f"{leg} {name}", PLAY, leg, change)
+    side = np.tanh(pull / soft)
+    shapes = {
+        "harder": half * np.tanh(pull / (0.3 * soft)),
+        "slope": half * terms.travel_position(state) * (side - side.mean(axis=0)),
+    }
+    return terms.by_leg(PLAY, half * side, shapes)
 
 
 effect = Effect(

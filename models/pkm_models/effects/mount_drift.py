@@ -2,20 +2,17 @@
 creep by 1 to 5 um.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
+from oed.base import Array
 from oed.effect_model import Column, Effect, State
-from pkm_models.effects import natures, terms
+from pkm_models.effects import natures, references, terms
 
 CREEP = 5e-6  #: expected creep of a mount in a session, m
 CREEP_ANGLE = 10e-6  #: expected turn of a mount in a session, rad
 #: unknowns of set-ups that a mount has
+LENGTHS = (*(f"{name}_{k}" for name in ("cup", "shift") for k in "xyz"), "offset")
 ANGLES = (*(f"turn_{k}" for k in "xyz"), "tilt")
-UNKNOWNS = {
-    **{f"{name}_{k}": CREEP for name in ("cup", "shift") for k in "xyz"},
-    "offset": CREEP,
-    **dict.fromkeys(ANGLES, CREEP_ANGLE),
-}
 #: readings of instruments without such unknowns: a displacement, of a laser or
 #: micrometer
 READINGS = ("dy", "dz")
@@ -27,19 +24,26 @@ def columns(state: State) -> Iterable[Column]:
     """
     forms = {"": terms.session_share(state)}
     forms |= {f" {name}": course for name, course in terms.free_courses(state).items()}
-    block = f"set-up {state.setup}"
     for name, form in forms.items():
         part = terms.SHAPE_SHARE if name else 1.0
-        for unknown, scale in UNKNOWNS.items():
-            full = f"{block} {unknown}{name}"
-            yield Column(
-                full, part * scale, block, nuisances={unknown: form}, shape=bool(name)
-            )
-        for channel in READINGS:
-            full = f"{block} {channel}{name}"
-            yield Column(
-                full, part * CREEP, block, reading={channel: form}, shape=bool(name)
-            )
+        yield from moved_mounts(state, name, form, part * CREEP, part * CREEP_ANGLE)
+
+
+def moved_mounts(
+    state: State, name: str, form: Array, shift: float, turn: float
+) -> Iterator[Column]:
+    """A form (m,) of each unknown of a set-up and of its readings, of sizes in m and rad;
+    `name` is empty for the textbook's.
+    """
+    block = references.block(state)
+    shape = bool(name)
+    for unknown in (*LENGTHS, *ANGLES):
+        size = turn if unknown in ANGLES else shift
+        full = f"{block} {unknown}{name}"
+        yield Column(full, size, block, nuisances={unknown: form}, shape=shape)
+    for channel in READINGS:
+        full = f"{block} {channel}{name}"
+        yield Column(full, shift, block, reading={channel: form}, shape=shape)
 
 
 effect = Effect(

@@ -8,6 +8,13 @@ from oed.effect_model import State
 #: instruments that read across a straightedge or a square: its direction (base axis) and
 #: the channel that it errs in
 LINES = {"rm3": (1, "dz"), "rm4": (2, "dy"), "rm5": (1, "dz")}
+#: instruments that read points about the place where they stand
+STATIONS = (
+    "pose_tracker",
+    "pose_tracker_position",
+    "laser_ball_bar",
+    "laser_ball_bar_position",
+)
 #: probes that read heights, along z of the base frame
 HEIGHT_PROBES = (
     "height_probe",

@@ -46,35 +46,13 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
     ):
         for i in state.limbs:
             leg = f"leg {i + 1}"
-            yield Column(
-                f"{leg}{name}",
-                part * LOST_STEPS,
-                leg,
-                {i: unit[:, i] * form},
-                shape=bool(name),
-            )
-        block = f"set-up {state.setup}"
-        for unknown in mount_drift.UNKNOWNS:
-            scale = (
-                part
-                * MOUNT_SHIFT
-                * (TURN_RATIO if unknown in mount_drift.ANGLES else 1.0)
-            )
-            yield Column(
-                f"{block} {unknown}{name}",
-                scale,
-                block,
-                nuisances={unknown: form},
-                shape=bool(name),
-            )
-        for channel in mount_drift.READINGS:
-            yield Column(
-                f"{block} {channel}{name}",
-                part * MOUNT_SHIFT,
-                block,
-                reading={channel: form},
-                shape=bool(name),
-            )
+            lost = {i: unit[:, i] * form}
+            size = part * LOST_STEPS
+            yield Column(f"{leg}{name}", size, leg, lost, shape=bool(name))
+        shift = part * MOUNT_SHIFT
+        yield from mount_drift.moved_mounts(
+            state, name, form, shift, shift * TURN_RATIO
+        )
 
 
 effect = Effect(

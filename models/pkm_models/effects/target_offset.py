@@ -10,12 +10,6 @@ from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references
 
 OFFSET = 0.1e-3  # m
-INSTRUMENTS = (
-    "pose_tracker",
-    "pose_tracker_position",
-    "laser_ball_bar",
-    "laser_ball_bar_position",
-)
 
 
 def columns(state: State) -> Iterable[Column]:
@@ -34,5 +28,5 @@ effect = Effect(
     remedy="measure the target's place on the platform, and state it as the tool",
     nature=natures.REFERENCE,
     exposed_by="poses that turn the platform far, at one place",
-    instruments=INSTRUMENTS,
+    instruments=references.STATIONS,
 )

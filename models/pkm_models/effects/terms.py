@@ -332,6 +332,17 @@ def alike(name: str, size: float, change: Array) -> Iterator[Column]:
         yield adapting(leg, size, leg, {i: change[:, i]})
 
 
+def by_leg(
+    size: float, change: Array, shapes: Mapping[str, Array] | None = None
+) -> Iterator[Column]:
+    """One coefficient a leg of changes (m, nq); shape: others by name."""
+    for i in range(change.shape[1]):
+        leg = f"leg {i + 1}"
+        yield Column(leg, size, leg, {i: change[:, i]})
+        for name, form in (shapes or {}).items():
+            yield adapting(f"{leg} {name}", size, leg, {i: form[:, i]})
+
+
 def harmonics(state: State, period: float, size: float) -> Iterator[Column]:
     """Sine and cosine of each joint's place in a period a leg; shape: two in a period."""
     return turns(2.0 * np.pi * state.joints / period, np.ones(state.joints.shape), size)

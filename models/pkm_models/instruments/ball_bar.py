@@ -17,6 +17,7 @@ import casadi as ca
 
 from oed.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.model import Expr, Parameter, Values
+from pkm_models.instruments import registration
 
 SOURCE = "Tian et al. 2016, section 3; ISO 230-4 for the instrument"
 LENGTH = Setting("length", "m", 0.300, "nominal bar length")
@@ -28,7 +29,7 @@ CUP = ("cup_x", "cup_y", "cup_z")  #: a magnetic cup seats elsewhere each time
 
 
 def _offset(s: Values) -> Expr:
-    return ca.vertcat(s["cup_x"], s["cup_y"], s["cup_z"])
+    return ca.vertcat(*[s[name] for name in CUP])
 
 
 def _taught(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -36,15 +37,11 @@ def _taught(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 
 def _free(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    cup = ca.vertcat(k["at_x"], k["at_y"], k["at_z"]) + _offset(s)
-    return [ca.norm_2(frames[0].point - cup)]
+    return [ca.norm_2(frames[0].point - registration.place(k) - _offset(s))]
 
 
 def _cup(tolerance: float) -> tuple[Parameter, ...]:
-    return tuple(
-        Parameter(f"cup_{n}", 0.0, tolerance, "m", f"{n} offset of the cup")
-        for n in "xyz"
-    )
+    return registration.unknowns("cup", tolerance, "m", "{} offset of the cup")
 
 
 instrument = Instrument(
@@ -65,13 +62,7 @@ free_cup = dataclasses.replace(
     instrument,
     name="ball_bar_free_cup",
     about="double ball bar, table cup set by hand",
-    settings=(
-        LENGTH,
-        *(
-            Setting(f"at_{n}", "m", None, f"{n} of the cup in the base frame")
-            for n in "xyz"
-        ),
-    ),
+    settings=(LENGTH, *registration.place_settings("{} of the cup in the base frame")),
     nuisances=_cup(1.0e-3),
     observe=_free,
     reference=None,

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.model import Expr, Parameter, Values
 from pkm_models.instruments import registration
 
@@ -34,8 +34,7 @@ BETWEEN = (
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    nominal = ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
-    return registration.coordinates_in_frame(s, frames[0].point - nominal)
+    return registration.coordinates_in_frame(s, frames[0].point - registration.place(k))
 
 
 def _distance(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -46,15 +45,11 @@ instrument = Instrument(
     name="ball_plate",
     source=SOURCE,
     about="ball plate: certified places of its balls, in the plate's own frame",
-    channels=tuple(
-        Channel(
-            f"ball_{n}", "m", 0.2e-6, about=f"{n} of the probed ball, plate's frame"
-        )
-        for n in "xyz"
+    channels=registration.point_channels(
+        0.2e-6, about="{} of the probed ball, plate's frame", stem="ball"
     ),
-    settings=tuple(
-        Setting(f"at_{n}", "m", 0.0, f"{n} of the plate's origin in the base frame")
-        for n in "xyz"
+    settings=registration.place_settings(
+        "{} of the plate's origin in the base frame", (0.0, 0.0, 0.0)
     ),
     nuisances=registration.frame_parameters(0.5e-3, 5e-3),
     cost=Cost(setup=1800.0, reading=60.0),

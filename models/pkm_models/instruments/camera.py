@@ -17,17 +17,13 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.instrument import Cost, Frame, Instrument
 from oed.model import Expr, Values
 from pkm_models.instruments import registration
 
 SOURCE = (
     "three-coordinate position readings; 1 mm is what markers on a mover a few metres"
     " away are seen to"
-)
-KNOWN = tuple(
-    Channel(f"read_{n}", "m", 1.0e-3, about=f"{n} of the tool point in the base frame")
-    for n in "xyz"
 )
 
 
@@ -54,7 +50,9 @@ known_frame = dataclasses.replace(
     instrument,
     name="camera_known_frame",
     about="camera: three coordinates of the tool point, in the machine's base frame",
-    channels=KNOWN,
+    channels=registration.point_channels(
+        1.0e-3, about="{} of the tool point in the base frame"
+    ),
     nuisances=(),
     observe=_base_rotation,
 )

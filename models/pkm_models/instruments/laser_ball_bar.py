@@ -35,6 +35,7 @@ the sliders' true heights, the joints q, are known, whatever the machine's own s
 show. A readings file gives them as q1_mm, q2_mm, q3_mm.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
@@ -52,10 +53,7 @@ FRAMES = (
     f"{ORIENTATION.formula} = (sin beta, -sin alpha cos beta, cos alpha cos beta), from"
     " ball B to ball A, along z of the platform's frame, in the instrument's frame"
 )
-POINT = tuple(
-    Channel(f"read_{n}", "m", 4e-6, about=f"{registration.coordinate(n)}: ball A")
-    for n in "xyz"
-)
+POINT = registration.point_channels(4e-6, about=f"{registration.COORDINATE}: ball A")
 AXIS = tuple(
     Channel(f"read_{n}", "rad", 55e-6, about=f"{about}; {FRAMES}")
     for n, about in (
@@ -64,10 +62,7 @@ AXIS = tuple(
     )
 )
 SETTINGS = (
-    *(
-        Setting(f"at_{n}", "m", None, f"{n} of the gimbal in the base frame")
-        for n in "xyz"
-    ),
+    *registration.place_settings("{} of the gimbal in the base frame"),
     Setting("range_noise", "m", 0.3e-6, "standard deviation of R"),
     Setting(
         "angle_noise", "rad", 1.15 * units.ARCSEC, "standard deviation of theta and phi"
@@ -91,14 +86,10 @@ def _inner(balls: int) -> tuple[InnerReading, ...]:
     )
 
 
-def _gimbal(k: Values) -> Expr:
-    return ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
-
-
 def _ends(frame: Frame, s: Values, k: Values) -> tuple[Expr, Expr]:
     """A and B as the instrument sees them."""
     ends = (frame.point, frame.point - k["baseline"] * frame.rotation[:, 2])
-    a, b = (registration.point_in_frame(s, end, _gimbal(k)) for end in ends)
+    a, b = (registration.point_in_frame(s, end, registration.place(k)) for end in ends)
     return a, b
 
 
@@ -108,7 +99,7 @@ def _offset(a: Expr, b: Expr) -> list[Expr]:
 
 def _spread(point: Expr, k: Values) -> Expr:
     """Slopes (3 x 3) of a point over errors of R, theta, phi, in units of noise."""
-    d = point - _gimbal(k)
+    d = point - registration.place(k)
     flat = ca.sqrt(d[0] ** 2 + d[1] ** 2)
     up = ca.vertcat(-d[0] * d[2] / flat, -d[1] * d[2] / flat, flat)
     around = ca.vertcat(-d[1], d[0], 0.0)
@@ -155,12 +146,14 @@ def _sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
 
 
 def _observe_position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    a = registration.point_in_frame(s, frames[0].point, _gimbal(k))
+    a = registration.point_in_frame(s, frames[0].point, registration.place(k))
     return [a[0], a[1], a[2]]
 
 
 def _sources_position(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
-    return _spread(registration.point_in_frame(s, frames[0].point, _gimbal(k)), k)
+    return _spread(
+        registration.point_in_frame(s, frames[0].point, registration.place(k)), k
+    )
 
 
 instrument = Instrument(
@@ -178,16 +171,15 @@ instrument = Instrument(
     orientation=ORIENTATION,
 )
 
-position = Instrument(
+position = dataclasses.replace(
+    instrument,
     name="laser_ball_bar_position",
-    source=SOURCE,
     about="laser ball bar on a gimbal: position of the tool alone",
     channels=POINT,
     settings=SETTINGS,
-    nuisances=registration.frame_parameters(0.1e-3, 0.1e-3),
     cost=Cost(setup=3600.0, reading=20.0),
     observe=_observe_position,
     sources=_sources_position,
     inner=_inner(1),
-    from_inner=_from_inner,
+    orientation=None,
 )

@@ -35,7 +35,8 @@ from collections.abc import Callable, Mapping, Sequence
 import casadi as ca
 
 from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.model import Expr, Machine, Parameter, Values
+from oed.model import Expr, Machine, Values
+from pkm_models.instruments import registration
 
 SOURCE = "Tian et al. 2016, section 3, Eq. (13)"
 LEVEL_SIGMA = 10e-6  #: noise of a level, rad
@@ -76,11 +77,6 @@ def _normal(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [ca.atan2(-w[1], w[2]) + s["zero_x"], ca.atan2(w[0], w[2]) + s["zero_y"]]
 
 
-def _zeros(axes: str) -> tuple[Parameter, ...]:
-    about = "zero of the reading about {}; held unless freed"
-    return tuple(Parameter(f"zero_{n}", 0.0, 0.0, "rad", about.format(n)) for n in axes)
-
-
 def _orientation(
     name: str,
     about: str,
@@ -89,7 +85,9 @@ def _orientation(
     observe: Callable[[Sequence[Frame], Values, Values], list[Expr]],
     cost: Cost,
 ) -> Instrument:
-    zeros = _zeros(TURNS[: len(channels)])
+    about_zero = "zero of the reading about {}; held unless freed"
+    axes = TURNS[: len(channels)]
+    zeros = registration.unknowns("zero", 0.0, "rad", about_zero, axes)
 
     def unfit(machine: Machine) -> str | None:
         """A platform whose turns it does not read, as a level's in a plane."""

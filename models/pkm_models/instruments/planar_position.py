@@ -41,8 +41,9 @@ instrument = Instrument(
     channels=registration.point_channels(0.05e-3, "xy"),
     settings=(),
     nuisances=(
-        Parameter("shift_x", 0.0, 5e-3, "m", "x of the instrument's frame"),
-        Parameter("shift_y", 0.0, 5e-3, "m", "y of the instrument's frame"),
+        *registration.unknowns(
+            "shift", 5e-3, "m", "{} of the instrument's frame", "xy"
+        ),
         Parameter("turn_z", 0.0, 10e-3, "rad", "turn of the instrument's frame"),
     ),
     cost=Cost(setup=900.0, reading=20.0),

@@ -6,43 +6,60 @@ it, with R a small rotation and `about` a known point (a gimbal's centre), so th
 and turn are as independent as they can be.
 """
 
+from collections.abc import Sequence
+
 import casadi as ca
 
-from oed.instrument import Channel
+from oed.instrument import Channel, Setting
 from oed.model import Expr, Parameter, Values
 from pkm_models.rotation import tilt_torsion
 
+#: what an instrument reads of the tool point along an axis of its frame
+COORDINATE = (
+    "{} of the tool point in the instrument's frame, which is the base frame up to shift"
+    " and turn"
+)
 
-def coordinate(name: str) -> str:
-    """What an instrument reads of the tool point along an axis of its frame."""
-    return (
-        f"{name} of the tool point in the instrument's frame, which is the base frame up"
-        " to shift and turn"
+
+def point_channels(
+    sigma: float, axes: str = "xyz", about: str = COORDINATE, stem: str = "read"
+) -> tuple[Channel, ...]:
+    """`read_x`, ...: a coordinate of a point along each axis `{}`, with its noise, m."""
+    return tuple(
+        Channel(f"{stem}_{n}", "m", sigma, about=about.format(n)) for n in axes
     )
 
 
-def point_channels(sigma: float, axes: str = "xyz") -> tuple[Channel, ...]:
-    """`read_x`, ...: what an instrument reads of the tool point, with its noise, m."""
-    return tuple(Channel(f"read_{n}", "m", sigma, about=coordinate(n)) for n in axes)
+def place_settings(
+    about: str, values: Sequence[float | None] = (None, None, None)
+) -> tuple[Setting, ...]:
+    """`at_x`, ...: a place (3,) in the base frame, m; a set-up has to state what is None."""
+    return tuple(
+        Setting(f"at_{n}", "m", value, about.format(n))
+        for n, value in zip("xyz", values, strict=True)
+    )
+
+
+def place(k: Values) -> Expr:
+    """The place (3,) that settings state, m."""
+    return ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
+
+
+def unknowns(
+    stem: str, tolerance: float, unit: str, about: str, axes: str = "xyz"
+) -> tuple[Parameter, ...]:
+    """`cup_x`, ...: an unknown of a set-up along each axis, `{}` in `about`."""
+    return tuple(
+        Parameter(f"{stem}_{n}", 0.0, tolerance, unit, about.format(n)) for n in axes
+    )
 
 
 def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
     """The six unknowns with their tolerances (m, rad); 0 holds a known frame's."""
+    turns = "rotation of the instrument's frame about {}"
     return (
-        *(
-            Parameter(f"shift_{n}", 0.0, shift, "m", f"{n} of the instrument's frame")
-            for n in "xyz"
-        ),
-        *(
-            Parameter(
-                f"turn_{n}",
-                0.0,
-                turn,
-                "rad",
-                f"rotation of the instrument's frame about {n}",
-            )
-            for n in "xyz"
-        ),
+        *unknowns("shift", shift, "m", "{} of the instrument's frame"),
+        *unknowns("turn", turn, "rad", turns),
     )
 
 

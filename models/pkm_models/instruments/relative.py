@@ -24,7 +24,7 @@ um/m of air and alignment over the 3 m line, and resolution), micrometer 3 um (a
 gauge of 1 um division on a ground ruler).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.model import Expr, Parameter, Values
@@ -39,39 +39,37 @@ TILT = Parameter(
     "rad",
     "angle of ruler or square to the line it stands for; held unless freed",
 )
-Y, Z = 1, 2
+LINES = "xyz"
 
 
-def _displacement(axis: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
-    """Displacement from the reference along a base axis."""
-    return lambda frames, s, k: frames[0].point[axis] - frames[1].point[axis]
+def _read(axis: int, line: int) -> Callable[..., Expr]:
+    """Displacement along the line, or deviation along another axis from a ruler along
+    it, up to its tilt.
+    """
 
+    def read(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
+        moved = frames[0].point - frames[1].point
+        if axis == line:
+            return moved[axis]
+        return moved[axis] - s["tilt"] * moved[line]
 
-def _deviation(
-    axis: int, line: int
-) -> Callable[[Sequence[Frame], Values, Values], Expr]:
-    """Deviation along a base axis from a ruler along axis `line`, up to its tilt."""
-    return lambda frames, s, k: (
-        _displacement(axis)(frames, s, k)
-        - s["tilt"] * _displacement(line)(frames, s, k)
-    )
+    return read
 
 
 def _relative(
-    name: str,
-    about: str,
-    channels: tuple[Channel, ...],
-    reads: Sequence[Callable[[Sequence[Frame], Values, Values], Expr]],
-    nuisances: tuple[Parameter, ...],
-    cost: Cost,
+    name: str, about: str, along: str, sigmas: Mapping[str, float], cost: Cost
 ) -> Instrument:
+    """Readings along a line, `dy` and `dz` each with its noise, m."""
+    line = LINES.index(along)
+    axes = [LINES.index(channel.removeprefix("d")) for channel in sigmas]
+    reads = [_read(axis, line) for axis in axes]
     return Instrument(
         name=name,
         source=SOURCE,
         about=about,
-        channels=channels,
+        channels=tuple(_channel(channel, sd) for channel, sd in sigmas.items()),
         settings=(),
-        nuisances=nuisances,
+        nuisances=() if axes == [line] else (TILT,),
         cost=cost,
         observe=lambda frames, s, k: [read(frames, s, k) for read in reads],
         reference="run",
@@ -84,48 +82,25 @@ def _channel(name: str, sigma: float) -> Channel:
     return Channel(name, "m", sigma, shared=1.0, about=about)
 
 
-_LASER_COST, _MICROMETER_COST = (
-    Cost(setup=3600.0, reading=30.0),
-    Cost(setup=1200.0, reading=20.0),
-)
+_LASER, _MICROMETER = Cost(setup=3600.0, reading=30.0), Cost(setup=1200.0, reading=20.0)
+_BOTH = {"dy": LASER_SIGMA, "dz": MICROMETER_SIGMA}
 
 rm1 = _relative(
-    "rm1",
-    "RM 1: dy along y, laser interferometer",
-    (_channel("dy", LASER_SIGMA),),
-    (_displacement(Y),),
-    (),
-    _LASER_COST,
+    "rm1", "RM 1: dy along y, laser interferometer", "y", {"dy": LASER_SIGMA}, _LASER
 )
 rm2 = _relative(
-    "rm2",
-    "RM 2: dz along z, laser interferometer",
-    (_channel("dz", LASER_SIGMA),),
-    (_displacement(Z),),
-    (),
-    _LASER_COST,
+    "rm2", "RM 2: dz along z, laser interferometer", "z", {"dz": LASER_SIGMA}, _LASER
 )
 rm3 = _relative(
-    "rm3",
-    "RM 3: dz along y, micrometer",
-    (_channel("dz", MICROMETER_SIGMA),),
-    (_deviation(Z, Y),),
-    (TILT,),
-    _MICROMETER_COST,
+    "rm3", "RM 3: dz along y, micrometer", "y", {"dz": MICROMETER_SIGMA}, _MICROMETER
 )
 rm4 = _relative(
-    "rm4",
-    "RM 4: dy along z, micrometer",
-    (_channel("dy", MICROMETER_SIGMA),),
-    (_deviation(Y, Z),),
-    (TILT,),
-    _MICROMETER_COST,
+    "rm4", "RM 4: dy along z, micrometer", "z", {"dy": MICROMETER_SIGMA}, _MICROMETER
 )
 rm5 = _relative(
     "rm5",
     "RM 5: dy and dz along y, laser interferometer and micrometer",
-    (_channel("dy", LASER_SIGMA), _channel("dz", MICROMETER_SIGMA)),
-    (_displacement(Y), _deviation(Z, Y)),
-    (TILT,),
+    "y",
+    _BOTH,
     Cost(setup=4800.0, reading=40.0),
 )

@@ -20,8 +20,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model import Expr, Machine, Parameter, Values
+from oed.instrument import Cost, Frame, Instrument
+from oed.model import Expr, Machine, Values
+from pkm_models.instruments import registration
 
 AXES = "xyz"
 REPEATABILITY = 1e-6  #: how exactly a seat takes the tool again, m
@@ -30,8 +31,7 @@ SEAT_TOLERANCE = 1e-3  #: tolerance of where the seat is, m
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     seat = ca.vertcat(*[k[f"at_{n}"] + s[f"seat_{n}"] for n in AXES])
-    miss = frames[0].point - seat
-    return [miss[i] for i in range(3)]
+    return list(ca.vertsplit(frames[0].point - seat))
 
 
 def _unfit(machine: Machine) -> str | None:
@@ -46,28 +46,16 @@ def _seat(home: Sequence[float | None]) -> Instrument:
         name="seat",
         source="Rugbani and Schreve, section VI: constrained calibration; ISO 230-7",
         about="tool ball in a seat of unknown place: the point stays, the platform turns",
-        channels=tuple(
-            Channel(
-                f"miss_{n}",
-                "m",
-                REPEATABILITY,
-                about=f"{n} of the tool point less the seat's, base frame; 0 in the seat",
-            )
-            for n in AXES
+        channels=registration.point_channels(
+            REPEATABILITY,
+            about="{} of the tool point less the seat's, base frame; 0 in the seat",
+            stem="miss",
         ),
-        settings=tuple(
-            Setting(f"at_{n}", "m", value, f"{n} of the seat in the base frame, about")
-            for n, value in zip(AXES, home, strict=True)
+        settings=registration.place_settings(
+            "{} of the seat in the base frame, about", home
         ),
-        nuisances=tuple(
-            Parameter(
-                f"seat_{n}",
-                0.0,
-                SEAT_TOLERANCE,
-                "m",
-                f"{n} of the seat less the stated",
-            )
-            for n in AXES
+        nuisances=registration.unknowns(
+            "seat", SEAT_TOLERANCE, "m", "{} of the seat less the stated"
         ),
         cost=Cost(setup=300.0, reading=15.0),
         observe=_observe,
