@@ -19,9 +19,8 @@ import numpy as np
 
 from oed.base import Orientation
 from oed.model import Adjustment, Component, Coordinate, Expr, Parameter, Values
-from pkm_models.machines.parts import coordinates, passive, six_dof
+from pkm_models.machines.parts import coordinates, legs, passive, six_dof
 from pkm_models.machines.parts.families import numbers, places, point_group
-from pkm_models.machines.parts.six_dof import platform
 
 # m, Table 1
 A = 0.250
@@ -59,13 +58,7 @@ def _platform(i: int) -> tuple[float, float, float]:
 
 def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
     """Joint centres B_i and A_i of each limb in the base frame."""
-    rotation, point = platform(x)
-    joints = []
-    for i in LIMBS:
-        base = [n + p[f"db{i}{k}"] for n, k in zip(_base(i), XYZ, strict=True)]
-        local = [n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)]
-        joints.append((ca.vertcat(*base), point + rotation @ ca.vertcat(*local)))
-    return joints
+    return legs.drawn(x, p, [*map(_base, LIMBS)], [*map(_platform, LIMBS)])
 
 
 def _hinge_axis(i: int) -> tuple[float, float, float]:
@@ -104,10 +97,7 @@ def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base triangle, limbs, platform triangle, spindle."""
-    bases, joints = zip(*_joints(x, p), strict=True)
-    centre = (joints[0] + joints[1] + joints[2]) / 3.0
-    limbs = [[b, a] for b, a in zip(bases, joints, strict=True)]
-    return [[*bases, bases[0]], *limbs, [*joints, joints[0]], [centre, platform(x)[1]]]
+    return legs.skeleton(*zip(*_joints(x, p), strict=True), x)
 
 
 def _parameters() -> tuple[Parameter, ...]:

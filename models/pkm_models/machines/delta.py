@@ -35,14 +35,17 @@ from oed.model import (
     Strut,
     Values,
 )
-from pkm_models.machines import linear_delta
-from pkm_models.machines.linear_delta import DOWN
 from pkm_models.machines.parts import families, translation
 from pkm_models.machines.parts.coordinates import joint, point
 from pkm_models.machines.parts.families import Geometry, limb_rows
 from pkm_models.machines.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
+DOWN = "travel of carriage {} down from its endstop"
+BASE_FRAME = (
+    "origin on the bed, midway between the towers; z up; towers at the angles from"
+    " x to y that the parameters `angle` state"
+)
 NAME = "delta"
 SOURCE = (
     "Klipper documentation, Delta calibration (convention of radius, arm, angle and"
@@ -151,7 +154,7 @@ def build(geometry: Geometry) -> Machine:
         source=SOURCE,
         about="delta of any size: radius, angle, tilts and carriage height by tower",
         joints=tuple(joint(f"q{i}", "m", -size, travel, DOWN) for i in TOWERS),
-        base_frame=linear_delta.machine.base_frame,
+        base_frame=BASE_FRAME,
         parameters=_parameters(table, radius, arm, endstop),
         lever=float(radius.mean()),
         closure=closure,

@@ -21,23 +21,13 @@ import casadi as ca
 
 from oed.model import Expr, Parameter, Start, Values
 from pkm_models.machines import delta, linear_delta
-from pkm_models.machines.linear_delta import TOWERS
+from pkm_models.machines.delta import TOWERS
 from pkm_models.machines.parts import coordinates, families, six_dof
 
 SIDES = linear_delta.ANGLE  #: angles of the effector's three sides, rad
 SLOPE_SD = 5e-3  # of a bed as it is mounted
 EDGE_SD = 1e-3  # rad: rods and carriages are right by 0.05 mm over 50 mm
 TRIM_SD = 0.1e-3  # m
-
-
-def _upright(p: Values) -> dict[str, Expr]:
-    """The same numbers as those of the delta with a radius for each tower."""
-    radii = {f"radius{i}": p["radius"] + p[f"trim{i}"] for i in TOWERS}
-    tilts = {f"{stem}{i}": 0.0 for stem in ("lean", "tip") for i in TOWERS}
-    same = {
-        f"{s}{i}": p[f"{s}{i}"] for s in ("arm", "angle", "endstop") for i in TOWERS
-    }
-    return {**radii, **tilts, **same}
 
 
 def _raised(x: Values, p: Values) -> dict[str, Expr]:
@@ -76,7 +66,7 @@ def _effector_edges(p: Values) -> list[Expr]:
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Arm lengths, m; the edges of the effector along those of the carriages."""
-    raised, upright = _raised(x, p), _upright(p)
+    raised, upright = _raised(x, p), linear_delta.by_tower(p)
     rows = delta.closure(raised, q, upright)
     rotation, _ = six_dof.platform(x)
     struts = delta.struts(raised, q, upright)
@@ -89,7 +79,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
 
 def guess(c: Values, p: Values) -> Start:
     """The commanded point, level, and each carriage at the upper end of its arm."""
-    _, joints = delta.guess(_raised(c, p), _upright(p))
+    _, joints = delta.guess(_raised(c, p), linear_delta.by_tower(p))
     return [c["x"], c["y"], c["z"], 0.0, 0.0, 0.0], joints
 
 
@@ -132,7 +122,7 @@ machine = six_dof.driven(
     lever=linear_delta.RADIUS,
     closure=closure,
     guess=guess,
-    skeleton=lambda x, q, p: delta.skeleton(_raised(x, p), q, _upright(p)),
-    struts=lambda x, q, p: delta.struts(_raised(x, p), q, _upright(p)),
+    skeleton=lambda x, q, p: delta.skeleton(_raised(x, p), q, linear_delta.by_tower(p)),
+    struts=lambda x, q, p: delta.struts(_raised(x, p), q, linear_delta.by_tower(p)),
     frame=linear_delta.machine.frame,
 )

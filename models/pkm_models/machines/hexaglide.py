@@ -67,9 +67,10 @@ def _joints(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
     rotation, point = platform(x)
     joints = []
     for i in LEGS:
-        error = (q[f"q{i}"] + p[f"dq{i}"], p[f"db{i}y"], p[f"db{i}z"])
-        carriage = ca.vertcat(*[n + e for n, e in zip(B[i], error, strict=True)])
-        local = [n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
+        travelled = B[i][0] + (q[f"q{i}"] + p[f"dq{i}"])
+        across = families.shifted(B[i][1:], p, f"db{i}", "yz")
+        carriage = ca.vertcat(travelled, *across)
+        local = families.shifted(A[i], p, f"da{i}")
         joints.append((carriage, point + rotation @ ca.vertcat(*local)))
     return joints
 

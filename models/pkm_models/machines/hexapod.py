@@ -19,10 +19,10 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model import Expr, Values
-from pkm_models.machines.parts import families, passive, six_dof
+from oed.model import Expr, Strut, Values
+from pkm_models.machines.parts import families, legs, passive, six_dof
 from pkm_models.machines.parts.coordinates import joint
-from pkm_models.machines.parts.six_dof import XYZ, command, platform, target
+from pkm_models.machines.parts.six_dof import command, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 BASE = 0.300  # m
@@ -32,36 +32,28 @@ HEIGHT = 0.500  # m, tool point over the base at home
 # Tolerances (prior standard deviations), m
 JOINT_SD = 0.3e-3
 ZERO_SD = 0.5e-3
-Point = tuple[float, float, float]
+
+#: joints in three pairs: at the base from its centre, at the platform from the tool point,
+#: each 30 degrees outside its partner
+B = dict(
+    zip(
+        LEGS,
+        families.ring_points(BASE, (-15, 15, 105, 135, 225, 255), 0.0),
+        strict=True,
+    )
+)
+A = dict(
+    zip(
+        LEGS,
+        families.ring_points(PLATFORM, (-45, 45, 75, 165, 195, 285), ABOVE),
+        strict=True,
+    )
+)
 
 
-def _ring(radius: float, half: float, height: float) -> dict[int, Point]:
-    """Joints in three pairs, `half` degrees on either side of 0, 120, 240 degrees."""
-    angle = {
-        i: math.radians(120.0 * ((i - 1) // 2) + (half if i % 2 == 0 else -half))
-        for i in LEGS
-    }
-    return {
-        i: (radius * math.cos(a), radius * math.sin(a), height)
-        for i, a in angle.items()
-    }
-
-
-B = _ring(BASE, 15.0, 0.0)  # base joints, from the base centre
-A = _ring(
-    PLATFORM, 45.0, ABOVE
-)  # platform joints, from the tool point: each 30 degrees outside its partner
-
-
-def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
+def _joints(x: Values, p: Values) -> list[Strut]:
     """Joint centres B_i and A_i of each leg in the base frame."""
-    rotation, point = platform(x)
-    joints = []
-    for i in LEGS:
-        foot = [n + p[f"db{i}{k}"] for n, k in zip(B[i], XYZ, strict=True)]
-        local = [n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
-        joints.append((ca.vertcat(*foot), point + rotation @ ca.vertcat(*local)))
-    return joints
+    return legs.drawn(x, p, [*B.values()], [*A.values()])
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
@@ -74,14 +66,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base, legs, platform, spindle."""
-    feet, joints = zip(*_joints(x, p), strict=True)
-    legs = [[b, a] for b, a in zip(feet, joints, strict=True)]
-    return [
-        [*feet, feet[0]],
-        *legs,
-        [*joints, joints[0]],
-        [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]],
-    ]
+    return legs.skeleton(*zip(*_joints(x, p), strict=True), x)
 
 
 machine = six_dof.machine(

@@ -12,62 +12,32 @@ and the tool is the lower of the two points that satisfy it.
 """
 
 import math
-from collections.abc import Sequence
 
-import casadi as ca
-
-from oed.model import Expr, Parameter, PassiveJoint, Values
+from oed.model import Expr, Parameter, Start, Values
+from pkm_models.machines import delta
+from pkm_models.machines.delta import TOWERS
 from pkm_models.machines.parts import families, translation
 from pkm_models.machines.parts.coordinates import joint, point
-from pkm_models.machines.parts.translation import tool_point
 
-TOWERS = (1, 2, 3)
-DOWN = "travel of carriage {} down from its endstop"
 RADIUS = 0.16175  # m
 ARM = 0.345  # m
 ENDSTOP = 0.420  # m
 ANGLE = {1: math.radians(210.0), 2: math.radians(330.0), 3: math.radians(90.0)}
 
 
-def _carriage(i: int, q: Values, p: Values) -> Expr:
-    """Position (3,) of the carriage's arm joint, reduced by the platform's radius."""
-    radius, arm, angle = p["radius"], p[f"arm{i}"], p[f"angle{i}"]
-    height = p[f"endstop{i}"] + ca.sqrt(arm**2 - radius**2) - q[f"q{i}"]
-    return ca.vertcat(radius * ca.cos(angle), radius * ca.sin(angle), height)
+def by_tower(p: Values) -> dict[str, Expr]:
+    """The numbers of a delta with upright towers, each `trim` farther out where it has one."""
+    numbers = {}
+    for i in TOWERS:
+        numbers[f"radius{i}"] = p["radius"] + p.get(f"trim{i}", 0.0)
+        numbers |= {f"{stem}{i}": 0.0 for stem in ("lean", "tip")}
+        numbers |= {f"{s}{i}": p[f"{s}{i}"] for s in ("arm", "angle", "endstop")}
+    return numbers
 
 
-def closure(x: Values, q: Values, p: Values) -> list[Expr]:
-    """Arm lengths; m."""
-    return [
-        ca.norm_2(tool_point(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS
-    ]
-
-
-def guess(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
+def guess(c: Values, p: Values) -> Start:
     """The commanded point, and each carriage at the upper end of its arm."""
-    joints = []
-    for i in TOWERS:
-        lowered = _carriage(i, {f"q{i}": 0.0}, p)
-        across = (c["x"] - lowered[0]) ** 2 + (c["y"] - lowered[1]) ** 2
-        joints.append(lowered[2] - c["z"] - ca.sqrt(p[f"arm{i}"] ** 2 - across))
-    return [c["x"], c["y"], c["z"]], joints
-
-
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Towers and arms."""
-    lines = []
-    for i in TOWERS:
-        top = _carriage(i, q, p)
-        foot = ca.vertcat(top[0], top[1], 0.0)
-        head = ca.vertcat(top[0], top[1], ENDSTOP + math.sqrt(ARM**2 - RADIUS**2))
-        lines += [[foot, head], [top, tool_point(x)]]
-    return lines
-
-
-def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
-    """Joints of the arms at the carriages: first axes across the towers' radii."""
-    struts = [(_carriage(i, q, p), tool_point(x)) for i in TOWERS]
-    return translation.tangential_joints(struts, [p[f"angle{i}"] for i in TOWERS])
+    return delta.guess(c, by_tower(p))
 
 
 machine = translation.machine(
@@ -78,11 +48,8 @@ machine = translation.machine(
         "delta printer kinematics; nominal numbers of the FLSun V400 (Klipper configuration, CC0)"
     ),
     about="linear delta (3-PUU with parallelograms): x, y, z driven",
-    joints=tuple(joint(f"q{i}", "m", -0.05, 0.6, DOWN) for i in TOWERS),
-    base_frame=(
-        "origin on the bed, midway between the towers; z up; towers at the angles from"
-        " x to y that the parameters `angle` state"
-    ),
+    joints=tuple(joint(f"q{i}", "m", -0.05, 0.6, delta.DOWN) for i in TOWERS),
+    base_frame=delta.BASE_FRAME,
     parameters=(
         Parameter("radius", RADIUS, 0.5e-3, "m", "tower circle less platform radius"),
         *families.numbers("arm", [ARM] * 3, 1.0e-3, "m", "arm length of tower"),
@@ -94,10 +61,10 @@ machine = translation.machine(
         ),
     ),
     lever=RADIUS,
-    closure=closure,
+    closure=lambda x, q, p: delta.closure(x, q, by_tower(p)),
     guess=guess,
-    skeleton=skeleton,
-    struts=lambda x, q, p: [(_carriage(i, q, p), tool_point(x)) for i in TOWERS],
-    passive=passive_joints,
+    skeleton=lambda x, q, p: delta.skeleton(x, q, by_tower(p)),
+    struts=lambda x, q, p: delta.struts(x, q, by_tower(p)),
+    passive=lambda x, q, p: delta.passive_joints(x, q, by_tower(p)),
     frame=("angle3",),  # turning all towers together only turns the base frame
 )

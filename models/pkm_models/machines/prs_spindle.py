@@ -36,8 +36,8 @@ from oed.model import (
     PointGroup,
     Values,
 )
-from pkm_models.machines.parts import coordinates, passive, six_dof
-from pkm_models.machines.parts.families import point_group
+from pkm_models.machines.parts import coordinates, legs, passive, six_dof
+from pkm_models.machines.parts.families import point_group, shifted
 from pkm_models.machines.parts.six_dof import platform
 
 # m, Table 1
@@ -70,18 +70,10 @@ def _circle(radius: float, height: float, i: int) -> tuple[float, float, float]:
 
 def joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Slider joint R_i and ball joint b_i in the base frame."""
-    slider = ca.vertcat(
-        *[
-            n + p[f"dR{i}{k}"]
-            for n, k in zip(_circle(R, 0.0, i)[:2], "xy", strict=True)
-        ],
-        q[f"q{i}"],
-    )
-    local = ca.vertcat(
-        *[n + p[f"db{i}{k}"] for n, k in zip(_circle(RADIUS, H, i), "xyz", strict=True)]
-    )
+    foot = shifted(_circle(R, 0.0, i)[:2], p, f"dR{i}", "xy")
+    local = shifted(_circle(RADIUS, H, i), p, f"db{i}")
     rotation, point = platform(x)
-    return slider, point + rotation @ local
+    return ca.vertcat(*foot, q[f"q{i}"]), point + rotation @ ca.vertcat(*local)
 
 
 def plane_distance(x: Values, q: Values, p: Values, i: int) -> Expr:
@@ -135,16 +127,10 @@ def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Guides, struts, platform, spindle."""
     sliders, balls = zip(*[joints(x, q, p, i) for i in LIMBS], strict=True)
-    centre = (balls[0] + balls[1] + balls[2]) / 3.0
     columns = [
         [ca.vertcat(s[0], s[1], height) for height in (1.1, 2.1)] for s in sliders
     ]
-    return [
-        *columns,
-        *[[s, b] for s, b in zip(sliders, balls, strict=True)],
-        [*balls, balls[0]],
-        [centre, platform(x)[1]],
-    ]
+    return [*columns, *legs.skeleton(sliders, balls, x)[1:]]
 
 
 def _parameters(i: int) -> list[Parameter]:

@@ -95,6 +95,13 @@ def point(p: Values, stem: str, i: int) -> Expr:
     return ca.vertcat(*[p[f"{stem}{i}{k}"] for k in XYZ])
 
 
+def shifted(
+    drawn: Sequence[float], p: Values, stem: str, axes: str = XYZ
+) -> list[Expr]:
+    """Coordinates of a point as drawn with its errors `da1x`, ... of a stem `da1`."""
+    return [v + p[f"{stem}{k}"] for v, k in zip(drawn, axes, strict=True)]
+
+
 def joint_ranges(
     lower: float, upper: float, count: int, about: str
 ) -> tuple[Coordinate, ...]:
@@ -128,12 +135,17 @@ def unit_vectors(value: Any, count: int) -> Array:
     return np.asarray(vectors / lengths[:, None])
 
 
+def ring_points(
+    radius: float, degrees: Sequence[float], height: float
+) -> list[tuple[float, float, float]]:
+    """Points on a horizontal circle."""
+    angles = [math.radians(d) for d in degrees]
+    return [(radius * math.cos(a), radius * math.sin(a), height) for a in angles]
+
+
 def ring(radius: float, degrees: Sequence[float], height: float) -> Array:
     """Points (n, 3) on a horizontal circle."""
-    angles = [math.radians(d) for d in degrees]
-    return np.array(
-        [(radius * math.cos(a), radius * math.sin(a), height) for a in angles]
-    )
+    return np.array(ring_points(radius, degrees, height))
 
 
 def positive(table: Geometry, *names: str) -> None:

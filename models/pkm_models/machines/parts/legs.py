@@ -12,6 +12,7 @@ from pkm_models.machines.parts.families import Geometry, point
 from pkm_models.machines.parts.six_dof import ANGLES, XYZ, platform
 from pkm_models.rotation import across
 
+Point = tuple[float, float, float]
 DIRECTION_SD = 1e-3  #: prior standard deviations of directions, rad
 BASE = "joint centres at the base, in the base frame"
 PLATFORM = "joint centres at the platform, from the tool point"
@@ -49,6 +50,19 @@ def leg_length(x: Values, p: Values, i: int) -> Expr:
     """Distance of a leg's joints less the zero of its scale, m."""
     foot, joint = leg(x, p, i)
     return ca.norm_2(joint - foot) - p[f"l{i}"]
+
+
+def drawn(
+    x: Values, p: Values, base: Sequence[Point], platform_joints: Sequence[Point]
+) -> list[Strut]:
+    """Ends (3,) of limbs between joints as drawn, with errors `db1x`, `da1x`, ..."""
+    rotation, origin = platform(x)
+    struts = []
+    for i, (foot, joint) in enumerate(zip(base, platform_joints, strict=True), start=1):
+        local = ca.vertcat(*families.shifted(joint, p, f"da{i}"))
+        base_end = ca.vertcat(*families.shifted(foot, p, f"db{i}"))
+        struts.append((base_end, origin + rotation @ local))
+    return struts
 
 
 class ExtensibleLegs:
