@@ -9,16 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
 from benchmarks.peer_runs import Result
 from benchmarks.peers import processor_seconds
 from benchmarks.study_candidates import StudyCandidates, of_studies
 from oed.design import CRITERIA, condition, conic, relaxation
-from oed.design.condition import EigenvalueRelaxation
 from oed.design.relaxation import Relaxation
 
-Answer = Relaxation | EigenvalueRelaxation
 SMOOTH = ("D", "A", "O5")
 
 
@@ -28,7 +24,7 @@ def run_relaxations() -> list[Result]:
     for study in of_studies():
         for name, own in _own_methods(study):
             problem = f"{study.name}, {name} relaxed"
-            results.append(_result(problem, "this project", own, name))
+            results.append(_result(problem, "this project", own))
             if name != "O4":
                 results.append(
                     _result(problem, "cvxpy + Clarabel", _conic(study, name))
@@ -36,26 +32,26 @@ def run_relaxations() -> list[Result]:
     return results
 
 
-def _own_methods(study: StudyCandidates) -> Iterator[tuple[str, Callable[[], Answer]]]:
+def _own_methods(
+    study: StudyCandidates,
+) -> Iterator[tuple[str, Callable[[], Relaxation]]]:
     blocks, size = study.blocks, study.size
     columns = blocks.shape[2]
     for name in SMOOTH:
         criterion = CRITERIA.build(name, columns)
         yield name, lambda c=criterion: relaxation.relax(blocks, size, criterion=c)
-    yield "E", lambda: condition.e_optimal(blocks, size)
-    yield "kappa", lambda: condition.relax(blocks, size)
-    yield "O4", lambda: condition.o4(blocks, size)
+    for name in ("E", "kappa", "O4"):
+        criterion = CRITERIA.build(name, columns)
+        yield name, lambda c=criterion: condition.relax(c, blocks, size)
 
 
-def _conic(study: StudyCandidates, name: str) -> Callable[[], Answer]:
+def _conic(study: StudyCandidates, name: str) -> Callable[[], Relaxation]:
     criterion = CRITERIA.build(name, study.blocks.shape[2])
     return lambda: conic.relax(study.blocks, study.size, criterion)
 
 
-def _result(
-    problem: str, method: str, work: Callable[[], Answer], name: str = ""
-) -> Result:
-    """Result of one run; an answer of eigenvalues becomes log phi."""
+def _result(problem: str, method: str, work: Callable[[], Relaxation]) -> Result:
+    """Result of one run."""
     start = processor_seconds()
     try:
         optimum = work()
@@ -63,9 +59,5 @@ def _result(
         seconds = processor_seconds() - start
         return Result(problem, method, None, seconds, note="no answer")
     seconds = processor_seconds() - start
-    value, bound = optimum.value, optimum.bound
-    if isinstance(optimum, EigenvalueRelaxation):
-        sign = -1.0 if name == "kappa" else 1.0
-        value, bound = sign * float(np.log(value)), sign * float(np.log(bound))
     note = f"duality gap {optimum.duality_gap:.0e}"
-    return Result(problem, method, value, seconds, bound, note)
+    return Result(problem, method, optimum.value, seconds, optimum.bound, note)

@@ -32,6 +32,7 @@ MIDDLE = ((40, 5, 9), (40, 6, 10))
 OF_E = ((30, 4, 6), (24, 5, 7))
 MAX_NODES = 4000  #: nodes of a tree
 EQUAL = 1e-6  #: relative difference of variances that counts as none
+E = CRITERIA["E"].properties  #: it has no columns of its own
 COLUMNS = [
     "by",
     "criterion",
@@ -107,9 +108,9 @@ def e_optimum(instance: Instance, known: float) -> float:
         plan, bound = np.concatenate([taken, others[:missing]]), -np.inf
         if 0 < missing < len(others):
             prior = rows[taken].T @ rows[taken]
-            relaxed = condition.e_optimal(rows[others], float(missing), prior)
+            relaxed = condition.relax(E, rows[others], float(missing), prior)
             heaviest = others[np.argsort(-relaxed.weights)[:missing]]
-            plan, bound = np.concatenate([taken, heaviest]), relaxed.bound
+            plan, bound = np.concatenate([taken, heaviest]), np.exp(relaxed.bound)
         best = max(best, 1.0 / instance.variance(plan))
         if bound > best * (1.0 + EQUAL):
             middle = int(np.argmin(np.abs(relaxed.weights - 0.5)))
@@ -121,8 +122,8 @@ def e_optimum(instance: Instance, known: float) -> float:
 
 def weights_reach(instance: Instance, variance: float) -> float:
     """Least eigenvalue of the relaxation's weights over that of a plan, for E."""
-    relaxed = condition.e_optimal(instance.rows, float(instance.size))
-    return relaxed.value * variance
+    relaxed = condition.relax(E, instance.rows, float(instance.size))
+    return float(np.exp(relaxed.value)) * variance
 
 
 def branched_optimum(instance: Instance, known: float) -> float:

@@ -13,8 +13,9 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import condition, relaxation
-from oed.design.blocks import NO_ROUNDING, Rounding, find_copies, quotient_error
-from oed.design.forms import Criterion
+from oed.design.blocks import find_copies
+from oed.design.forms import ExtremeEigenvalues
+from oed.design.objective import CriterionObjective
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
@@ -23,13 +24,7 @@ from oed.design.rules import RelaxedRules, Rules
 INEXACT_GAP = 1e-3
 
 
-def bound(
-    blocks: Array,
-    criterion: Criterion,
-    rules: Rules,
-    prior: Array,
-    rounding: Rounding = NO_ROUNDING,
-) -> Relaxation:
+def bound(objective: CriterionObjective, rules: Rules) -> Relaxation:
     """Relaxation whose bound holds for all plans under the rules, of a concave
     criterion.
 
@@ -37,11 +32,11 @@ def bound(
     without a conic form there.
     """
     if rules.quotas is not None:
-        return _bound_under_quotas(blocks, criterion, rules, rules.quotas, prior)
+        return _bound_under_quotas(objective, rules, rules.quotas)
+    count = objective.count
     by_candidates: dict[bytes, Relaxation] = {}
-    for problem in rules.relaxations(len(blocks)):
-        optimum = _relax(blocks, criterion, problem, prior, rounding)
-        count = len(blocks)
+    for problem in rules.relaxations(count):
+        optimum = _relax(objective, problem)
         weights, gradient = np.zeros(count), np.zeros(count)
         cost = 1.0 if problem.cost is None else problem.cost
         weights[problem.candidates] = optimum.weights / cost
@@ -57,51 +52,46 @@ def bound(
 
 
 def _bound_under_quotas(
-    blocks: Array, criterion: Criterion, rules: Rules, quotas: QuotaSet, prior: Array
+    objective: CriterionObjective, rules: Rules, quotas: QuotaSet
 ) -> Relaxation:
     """The conic solver's bound; one without quotas where, inexact, it is higher."""
-    from oed.design import conic  # cvxpy takes a second to import
-
-    size, limits = float(quotas.size), quotas.linear_limits()
-    best = conic.relax(blocks, size, criterion, prior, 1.0, limits)
+    best = _relax_conic(objective, quotas)
     if best.duality_gap <= INEXACT_GAP:
         return best
-    without = bound(blocks, criterion, dataclasses.replace(rules, quotas=None), prior)
+    without = bound(objective, dataclasses.replace(rules, quotas=None))
     if without.bound >= best.bound:
         return best
     return dataclasses.replace(best, value=without.value, bound=without.bound)
 
 
-def _relax(
-    blocks: Array,
-    criterion: Criterion,
-    problem: RelaxedRules,
-    prior: Array,
-    rounding: Rounding,
-) -> Relaxation:
+def _relax_conic(objective: CriterionObjective, quotas: QuotaSet) -> Relaxation:
+    from oed.design import conic  # cvxpy takes a second to import
+
+    return conic.relax(
+        objective.blocks,
+        float(quotas.size),
+        objective.criterion,
+        objective.base,
+        limits=quotas.linear_limits(),
+    )
+
+
+def _relax(objective: CriterionObjective, problem: RelaxedRules) -> Relaxation:
     """The relaxation, over v = cost w where there is a cost."""
     candidates, total, cost = problem
-    scaled = blocks[candidates]
+    part = objective.subset(candidates)
     if cost is None:
-        return _relax_counted(scaled, criterion, total, prior, rounding)
-    scaled = scaled / np.sqrt(cost)[:, None, None]
-    errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
-    rounding = rounding._replace(rows=errors)
-    return _relax_capped(scaled, criterion, total, prior, cost, rounding)
+        return _relax_counted(part, total)
+    return _relax_capped(part.over_costs(cost), total, cost)
 
 
-def _relax_counted(
-    blocks: Array, criterion: Criterion, total: float, prior: Array, rounding: Rounding
-) -> Relaxation:
+def _relax_counted(objective: CriterionObjective, total: float) -> Relaxation:
     """The relaxation over weights of at most 1, which equal candidates share evenly."""
-    copies = find_copies(blocks)
-    cap: Array | float = 1.0
-    if copies.exist:
-        blocks = blocks[copies.first]
-        cap = copies.number.astype(float)
-    optimum = _relax_capped(blocks, criterion, total, prior, cap, rounding)
+    copies = find_copies(objective.blocks)
     if not copies.exist:
-        return optimum
+        return _relax_capped(objective, total, 1.0)
+    kinds = objective.subset(copies.first)
+    optimum = _relax_capped(kinds, total, copies.number.astype(float))
     return dataclasses.replace(
         optimum,
         weights=(optimum.weights / copies.number)[copies.label],
@@ -110,26 +100,19 @@ def _relax_counted(
 
 
 def _relax_capped(
-    scaled: Array,
-    criterion: Criterion,
-    total: float,
-    prior: Array,
-    cap: Array | float,
-    rounding: Rounding,
+    objective: CriterionObjective, total: float, cap: Array | float
 ) -> Relaxation:
     """The relaxation over weights of at most `cap`."""
-    extreme = condition.relax_criterion(criterion, scaled, total, prior, cap)
-    if extreme is not None:
-        return extreme
-    return relaxation.relax(
-        scaled, total, prior, cap, criterion=criterion, rounding=rounding
-    )
+    criterion = objective.criterion
+    if isinstance(criterion, ExtremeEigenvalues):
+        blocks, base = objective.blocks, objective.base
+        return condition.relax(criterion, blocks, total, base, cap)
+    return relaxation.relax_objective(objective, total, cap)
 
 
-def condition_bound(
-    blocks: Array, criterion: Criterion, rules: Rules, prior: Array
-) -> Relaxation | None:
-    """Bound of kappa, O2 and O4 for plans of a given size; None with a budget.
+def condition_bound(objective: CriterionObjective, rules: Rules) -> Relaxation | None:
+    """Bound of kappa, O2 and O4 for plans of a given size; None with a budget, and for
+    other criteria.
 
     More readings can make the condition number worse, so a plan within a budget need
     not use it up. Quotas are left out where the conic solver fails, and for O4: that
@@ -137,11 +120,11 @@ def condition_bound(
     """
     if rules.size is None or rules.budget is not None:
         return None
-    size = float(rules.size)
     if rules.quotas is not None:
         from oed.design import conic  # cvxpy takes a second to import
 
-        limits = rules.quotas.linear_limits()
         with contextlib.suppress(conic.NoConicAnswerError):
-            return conic.relax(blocks, size, criterion, prior, 1.0, limits)
-    return condition.relax_criterion(criterion, blocks, size, prior, 1.0)
+            return _relax_conic(objective, rules.quotas)
+    if not isinstance(objective.criterion, ExtremeEigenvalues):
+        return None
+    return _relax_capped(objective, float(rules.size), 1.0)

@@ -71,7 +71,7 @@ def solve(
     base = np.zeros((blocks.shape[2],) * 2)
     if prior is not None:
         base = basis.T @ prior @ basis
-    tree = _Tree(blocks, goal.restrict(basis), base, size)
+    tree = _Tree(CriterionObjective(goal.restrict(basis), blocks, base), size)
     return tree.search(np.sort(start), nodes)
 
 
@@ -101,16 +101,14 @@ def tighten(
 
 @dataclasses.dataclass(eq=False)
 class _Tree:
-    blocks: Array
-    criterion: Criterion
-    base: Array
+    objective: CriterionObjective
     size: int
 
     def search(self, best: Index, most_nodes: int) -> BranchResult:
         """Visits the node with the highest bound first."""
-        value = self.value(best)
+        value = self.objective.value_of(best)
         ticket = itertools.count()
-        root = _Node(np.zeros(0, dtype=np.intp), np.arange(len(self.blocks)))
+        root = _Node(np.zeros(0, dtype=np.intp), np.arange(self.objective.count))
         heap: list[tuple[float, int, _Node]] = [(-np.inf, next(ticket), root)]
         visited = 0
         while heap and visited < most_nodes and -heap[0][0] > value + EQUAL_TOLERANCE:
@@ -120,7 +118,7 @@ class _Tree:
             if bound <= value + EQUAL_TOLERANCE:
                 continue
             plan = self._round(node, weights, open_candidates)
-            plan_value = self.value(plan)
+            plan_value = self.objective.value_of(plan)
             if plan_value > value:
                 best, value = plan, plan_value
             for child in self._split(node, open_candidates, weights):
@@ -128,9 +126,6 @@ class _Tree:
         bounds = [-negative_bound for negative_bound, _, _ in heap]
         bound = max([value, *bounds])
         return BranchResult(best.astype(np.intp), value, bound, visited)
-
-    def value(self, chosen: Index) -> float:
-        return self.criterion.value(self.base + information(self.blocks[chosen]))
 
     def _missing(self, node: _Node) -> int:
         return self.size - len(node.taken)
@@ -140,11 +135,11 @@ class _Tree:
         missing = self._missing(node)
         if missing == 0 or missing >= len(node.open):
             only_plan = np.concatenate([node.taken, node.open[:missing]])
-            return self.value(only_plan), np.ones(len(node.open)), node.open
-        objective = CriterionObjective(
-            self.criterion,
-            self.blocks[node.open],
-            self.base + information(self.blocks[node.taken]),
+            value = self.objective.value_of(only_plan)
+            return value, np.ones(len(node.open)), node.open
+        taken = information(self.objective.blocks[node.taken])
+        objective = dataclasses.replace(
+            self.objective.subset(node.open), base=self.objective.base + taken
         )
         optimum = relaxation.solve(objective, float(missing), 1.0, NODE_TOLERANCE)
         active = np.flatnonzero(optimum.weights > 0)

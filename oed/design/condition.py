@@ -31,10 +31,10 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import information
-from oed.design.forms import Criterion, ExtremeEigenvalues
+from oed.design.forms import ExtremeEigenvalues
 from oed.design.forms.protocol import weight_gradient
 from oed.design.interior import InteriorPath, InteriorProblem, build_problem
-from oed.design.objective import knapsack_value
+from oed.design.objective import knapsack_value, knapsack_weights
 from oed.design.relaxation import Relaxation
 
 MAX_ROUNDS = 40  #: number of rounds in which candidates join
@@ -94,11 +94,6 @@ class EigenvaluePoint:
             return self.plan.largest / self.plan.least / self.dual.ratio - 1.0
         above = self.dual.bound - self.plan.least + self.slope * self.plan.largest
         return above / self.plan.least
-
-    def log_gradient(self, share: float) -> Array:
-        """(C,) d/dw of log l_min - share log l_max."""
-        low = self.dual.point.low / self.plan.least
-        return low - share * self.dual.point.high / self.plan.largest
 
     def combine(self, other: "EigenvaluePoint") -> "EigenvaluePoint":
         """The better weights of two points, with the better dual point of both."""
@@ -213,19 +208,13 @@ def _dual_point(problem: InteriorProblem, path: InteriorPath) -> DualPoint:
 def _least_ratio(problem: InteriorProblem, dual: DualPoint, ratio: float) -> float:
     """The least <Z, M> / <Y, M> over all weights, by Dinkelbach's steps from above."""
     for _ in range(100):
-        order = np.argsort(dual.high - ratio * dual.low, kind="stable")
-        w = _fill_to_caps(problem.caps[order], problem.size)
-        numerator = dual.base_high + dual.high[order] @ w
-        denominator = dual.base_low + dual.low[order] @ w
+        w = knapsack_weights(ratio * dual.low - dual.high, problem.size, problem.caps)
+        numerator = dual.base_high + dual.high @ w
+        denominator = dual.base_low + dual.low @ w
         if numerator >= ratio * denominator * (1 - 1e-14):
             return ratio
         ratio = float(numerator / denominator)
     return 0.0
-
-
-def _fill_to_caps(caps: Array, size: float) -> Array:
-    """Weights that fill the caps in the given order until the size is used up."""
-    return np.clip(size - (np.cumsum(caps) - caps), 0.0, caps)
 
 
 def _only_plan(problem: InteriorProblem, slope: float | None) -> EigenvaluePoint:
@@ -296,77 +285,55 @@ def _raise_to_size(problem: InteriorProblem, weights: Array, active: Index) -> A
     return np.asarray(weights + missing * room / room.sum())
 
 
+TOLERANCE = 1e-4  #: log duality gap to which E and kappa are solved
+O4_TOLERANCE = 1e-3  #: the same for O4, which takes several paths
 MAX_LINES = 16  #: lines that bound O4, at the most
 LINE_TOLERANCE = 0.3  #: share of the tolerance that each line of O4 is solved to
 
 
-@dataclasses.dataclass(frozen=True)
-class EigenvalueRelaxation:
-    """Optimal weights for a criterion of the extreme eigenvalues."""
-
-    weights: Array  #: (C,)
-    value: float  #: the criterion at the weights
-    #: of every feasible plan: from below for kappa, from above for E and O4
-    bound: float
-    #: (C,) of the log criterion (of -log kappa) along each weight: how much a candidate
-    #: is wanted
-    gradient: Array
-
-    @property
-    def duality_gap(self) -> float:
-        """|log bound - log value|: how loose the bound can be, as a relaxation."""
-        return float(abs(np.log(self.bound / self.value)))
-
-    def log_phi_relaxation(self, power: float) -> Relaxation:
-        """The relaxation of log phi, where the criterion to a power is phi."""
-        value = power * float(np.log(max(self.value, 1e-300)))
-        bound = power * float(np.log(self.bound))
-        return Relaxation(self.weights, value, bound, self.gradient)
-
-
 def relax(
+    criterion: ExtremeEigenvalues,
     rows: Array,
     size: float,
     prior: Array | None = None,
     cap: Array | float = 1.0,
-    tolerance: float = 1e-4,
-) -> EigenvalueRelaxation:
-    """Least kappa(H) = sqrt(l_max / l_min), to a log duality gap `tolerance`.
+    tolerance: float | None = None,
+) -> Relaxation:
+    """Optimal weights for E, kappa and O4, or powers of them; value and bound are log phi.
 
-    Arguments as for `relaxation.relax`. Raises ValueError where the caps cannot carry
-    `size`, or where candidates and prior leave directions undetermined.
+    tolerance  log duality gap of l_min, of kappa = sqrt(l_max / l_min), or of
+               O4 = l_min / sqrt(l_max); TOLERANCE or O4_TOLERANCE by default
+
+    Other arguments as for `relaxation.relax`. Raises ValueError where the caps cannot carry
+    `size`, where candidates and prior leave directions undetermined, and for another
+    ratio of the two eigenvalues.
     """
-    point = follow(build_problem(rows, size, prior, cap), None, 2.0 * tolerance)
-    kappa = float(np.sqrt(point.plan.largest / point.plan.least))
-    bound = float(np.sqrt(point.dual.ratio))
-    gradient = 0.5 * point.log_gradient(1.0)
-    return EigenvalueRelaxation(point.plan.weights, kappa, bound, gradient)
-
-
-def e_optimal(
-    rows: Array,
-    size: float,
-    prior: Array | None = None,
-    cap: Array | float = 1.0,
-    tolerance: float = 1e-4,
-) -> EigenvalueRelaxation:
-    """Largest l_min (E), F(0). Raises as `relax`."""
-    point = follow(build_problem(rows, size, prior, cap), 0.0, tolerance)
-    gradient = point.log_gradient(0.0)
-    return EigenvalueRelaxation(
-        point.plan.weights, point.plan.least, point.dual.bound, gradient
-    )
-
-
-def o4(
-    rows: Array,
-    size: float,
-    prior: Array | None = None,
-    cap: Array | float = 1.0,
-    tolerance: float = 1e-3,
-) -> EigenvalueRelaxation:
-    """Largest O4 = l_min / sqrt(l_max), to a log duality gap. Raises as `relax`."""
+    least, largest = criterion.least, criterion.largest
+    if largest not in (0.0, least, least / 2.0):
+        raise ValueError(
+            f"{criterion.name} has no relaxation: see oed.design.condition"
+        )
     problem = build_problem(rows, size, prior, cap)
+    if criterion.concave:
+        point = follow(problem, 0.0, tolerance or TOLERANCE)
+        bound = float(np.log(point.dual.bound))
+    elif least == largest:
+        point = follow(problem, None, 2.0 * (tolerance or TOLERANCE))
+        bound = -float(np.log(point.dual.ratio))
+    else:
+        point, o4 = _relax_o4(problem, tolerance or O4_TOLERANCE)
+        bound = float(np.log(o4))
+    plan, products = point.plan, point.dual.point
+    value = least * np.log(max(plan.least, 1e-300)) - largest * np.log(plan.largest)
+    low, high = products.low / plan.least, products.high / plan.largest
+    gradient = least * low - largest * high
+    return Relaxation(plan.weights, float(value), least * bound, gradient)
+
+
+def _relax_o4(
+    problem: InteriorProblem, tolerance: float
+) -> tuple[EigenvaluePoint, float]:
+    """Nearly the largest O4, and its bound, to a log duality gap."""
     line_tolerance = LINE_TOLERANCE * tolerance
     level = follow(problem, 0.0, line_tolerance)
     through_origin = follow(problem, None, line_tolerance)
@@ -378,34 +345,12 @@ def o4(
     while True:
         bound, flatter, steeper = _worst_corner(lines)
         if np.log(bound / _o4(best)) <= tolerance or len(lines) >= MAX_LINES:
-            gradient = best.log_gradient(0.5)
-            return EigenvalueRelaxation(best.plan.weights, _o4(best), bound, gradient)
+            return best, bound
         slope = _slope_between(flatter, steeper)
         near = dataclasses.replace(problem, start=flatter.point.plan.weights)
         point = follow(near, slope, line_tolerance)
         lines.append(_Line(point.dual.bound, slope, point))
         best = max(best, point, key=_o4)
-
-
-def relax_criterion(
-    criterion: Criterion, blocks: Array, size: float, prior: Array, cap: Array | float
-) -> Relaxation | None:
-    """Weights and bound of a criterion of the extreme eigenvalues; None for another.
-
-    Raises ValueError for another ratio of the two than those of kappa and O4.
-    """
-    if not isinstance(criterion, ExtremeEigenvalues):
-        return None
-    if criterion.concave:
-        optimum = e_optimal(blocks, size, prior, cap)
-        return optimum.log_phi_relaxation(criterion.least)
-    if criterion.least == criterion.largest:
-        optimum = relax(blocks, size, prior, cap)
-        return optimum.log_phi_relaxation(-2.0 * criterion.least)
-    if criterion.least == 2.0 * criterion.largest:
-        optimum = o4(blocks, size, prior, cap)
-        return optimum.log_phi_relaxation(criterion.least)
-    raise ValueError(f"{criterion.name} has no relaxation: see oed.design.condition")
 
 
 class _Line(NamedTuple):

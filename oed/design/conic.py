@@ -48,7 +48,7 @@ from oed.design.forms import (
     Variance,
 )
 from oed.design.forms.protocol import Support, weight_gradient
-from oed.design.objective import LOG_ROUNDING, knapsack_value
+from oed.design.objective import LOG_ROUNDING, knapsack_value, knapsack_weights
 from oed.design.relaxation import Relaxation
 
 MIN_SHARE = 1e-12  #: least share of a place in the mean variance that bounds G
@@ -166,8 +166,8 @@ class Polytope:
     def maximise(self, gains: Array) -> tuple[float, Array]:
         """A bound of sum_i w_i gains_i, and weights (C,) that (nearly) attain it."""
         if not len(self.upper):
-            weights = self._fill_to_caps(gains)
-            return knapsack_value(gains, self.size, self.caps), weights
+            weights = knapsack_weights(gains, self.size, self.caps)
+            return float(gains @ weights), weights
         scale = max(float(np.abs(gains).max()), 1e-300)
         solution = self._solve_linear(-gains / scale, self.rows, self.upper)
         marginals = np.asarray(solution.ineqlin.marginals, dtype=float)
@@ -176,14 +176,6 @@ class Polytope:
         bound = float(prices @ self.upper)
         bound += knapsack_value(reduced, self.size, self.caps)
         return bound, np.asarray(solution.x)
-
-    def _fill_to_caps(self, gains: Array) -> Array:
-        """Weights that fill the candidates with the largest gains to their caps."""
-        order = np.argsort(-gains, kind="stable")
-        caps = self.caps[order]
-        weights = np.zeros(len(gains))
-        weights[order] = np.clip(self.size - (np.cumsum(caps) - caps), 0.0, caps)
-        return weights
 
     def nearest(self, weights: Array) -> Array:
         """Feasible weights nearest to `weights` in their sum. Raises ValueError."""

@@ -24,14 +24,15 @@ import msgspec
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design import bounds, branch, exchange, relaxation, robust
-from oed.design.blocks import block_array, information, project_on_estimable
+from oed.design import branch, exchange, robust
+from oed.design.blocks import project_on_estimable
 from oed.design.bounds import bound
 from oed.design.candidates import Candidates
-from oed.design.exchange import Choice, Problem, pose
+from oed.design.exchange import Choice, pose
 from oed.design.forms import Criterion
 from oed.design.how_many import AccuracyGoal, SizeCurve
-from oed.design.relaxation import Relaxation
+from oed.design.objective import CriterionObjective
+from oed.design.relaxation import Relaxation, relax_objective
 from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules, SetupLimit
 from oed.result import RobustSummary
 
@@ -109,33 +110,27 @@ class _CombinationValues:
         available = int(np.isin(self.setups.setup, mounted).sum())
         thinning = len(chosen) / available
         rules = self.rules.free_setups(self.setups).subset(chosen)
-        values = []
-        for problem in rules.relaxations(len(chosen)):
-            try:
-                value = _relax(blocks, base, criterion, problem, thinning)
-            except (ValueError, np.linalg.LinAlgError):
-                return -np.inf
-            values.append(value)
+        objective = CriterionObjective(criterion, blocks, base)
+        try:
+            values = [
+                _thinned_value(objective, problem, thinning)
+                for problem in rules.relaxations(len(chosen))
+            ]
+        except (ValueError, np.linalg.LinAlgError):
+            return -np.inf
         return min(values, default=-np.inf)
 
 
-def _relax(
-    blocks: Array,
-    base: Array,
-    criterion: Criterion,
-    problem: RelaxedRules,
-    thinning: float,
+def _thinned_value(
+    objective: CriterionObjective, problem: RelaxedRules, thinning: float
 ) -> float:
     """Value of a relaxation; weights of thinned candidates stand for neighbours too."""
     pool, total, cost = problem
-    if cost is None:
-        scaled = blocks[pool]
-        cap: Array | float = 1.0 / thinning
-    else:
-        scaled = blocks[pool] / np.sqrt(cost)[:, None, None]
-        cap = cost / thinning
-    optimum = relaxation.relax(scaled, total, base, cap, RANKING_TOLERANCE, criterion)
-    return optimum.value
+    part = objective.subset(pool)
+    cap: Array | float = 1.0 / thinning
+    if cost is not None:
+        part, cap = part.over_costs(cost), cost / thinning
+    return relax_objective(part, total, cap, RANKING_TOLERANCE).value
 
 
 def thin(setups: SetupLimit, combination: Combination) -> Index:
@@ -192,27 +187,19 @@ def choose_by_weights(
 
     Raises ValueError where the plan leaves undetermined what the criterion needs.
     """
-    columns = block_array(rows).shape[2]
     rules = Rules(size=size)
     problem = pose(rows, rules, criterion, prior, tolerance)
-    goal, blocks, base = problem.criterion, problem.blocks, problem.base
-    optimum = _optimum(problem, rules, size, solver)
+    objective, goal = problem.objective, problem.objective.criterion
+    optimum = _optimum(objective, rules, size, solver)
     heaviest = np.argsort(-optimum.weights, kind="stable")[:size]
-    value = goal.value(base + information(blocks[heaviest]))
+    value = objective.value_of(heaviest)
     if not np.isfinite(value):
         raise ValueError(
             f"the {size} readings of largest weight do not determine the"
-            f" {blocks.shape[2]} directions that the candidates determine"
+            f" {objective.directions} directions that the candidates determine"
         )
-    choice = Choice(
-        indices=np.sort(heaviest),
-        criterion=goal.name,
-        value=goal.conventional_value(value, size),
-        directions=blocks.shape[2],
-        columns=columns,
-        weak=problem.weak,
-    )
-    at_weights = goal.value(base + information(blocks, optimum.weights))
+    choice = problem.choice(heaviest, value)
+    at_weights = objective.value(np.arange(objective.count), optimum.weights)
     return Weights(
         weights=optimum.weights,
         value=goal.conventional_value(at_weights, size),
@@ -222,14 +209,16 @@ def choose_by_weights(
     )
 
 
-def _optimum(problem: Problem, rules: Rules, size: int, solver: Solver) -> Relaxation:
+def _optimum(
+    objective: CriterionObjective, rules: Rules, size: int, solver: Solver
+) -> Relaxation:
     """The relaxation's weights by a solver."""
-    blocks, goal, base = problem.blocks, problem.criterion, problem.base
     if solver == "built_in":
-        return bound(blocks, goal, rules, base, rounding=problem.rounding)
+        return bound(objective, rules)
     from oed.design import conic  # cvxpy takes a second to import
 
     name: conic.Solver = "CLARABEL" if solver == "clarabel" else "SCS"
+    blocks, goal, base = objective.blocks, objective.criterion, objective.base
     return conic.relax(blocks, size, goal, base, solver=name)
 
 
@@ -495,11 +484,6 @@ class DesignProblem:
         )
         if not criterion.concave or criterion.spectral:
             return choice
-        bound = bounds.bound(c.blocks, criterion, self.rules, c.prior_information)
-        return dataclasses.replace(
-            choice,
-            bound=criterion.conventional_value(bound.bound, len(chosen)),
-            duality_gap=bound.duality_gap,
-            efficiency=float(np.exp(min(log_phi - bound.bound, 0.0))),
-            proven=bound.bound - log_phi <= exchange.PROVEN_TOLERANCE,
-        )
+        objective = CriterionObjective(criterion, c.blocks, c.prior_information)
+        upper = bound(objective, self.rules)
+        return choice.add_bound(criterion, log_phi, upper.bound, upper.duality_gap)

@@ -19,11 +19,9 @@ import numpy as np
 from oed.base import Array, Index
 from oed.design.blocks import (
     NO_ROUNDING,
-    Rounding,
     Spectrum,
     WhiteCandidates,
     block_array,
-    information,
     project_orthonormal,
     spectrum,
     whiten,
@@ -32,6 +30,7 @@ from oed.design.bounds import bound, condition_bound
 from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.forms import Criterion, Determinant, ExtremeEigenvalues, Variance
+from oed.design.objective import CriterionObjective
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
@@ -42,11 +41,10 @@ NUMBERS_AT_ONCE = 1_000_000  #: numbers in the matrices that are in memory at on
 EQUAL_TOLERANCE = 1e-10
 
 
-def best_of_all(
-    blocks: Array, criterion: Criterion, base: Array, rules: Rules
-) -> Index | None:
+def best_of_all(objective: CriterionObjective, rules: Rules) -> Index | None:
     """The best plan of all; None where these are too many, or other rules hold."""
-    size = rules.sole_size
+    size, criterion = rules.sole_size, objective.criterion
+    blocks, base = objective.blocks, objective.base
     if size is None or not isinstance(criterion, ExtremeEigenvalues):
         return None
     if math.comb(len(blocks), size) > MAX_ENUMERATED_PLANS:
@@ -176,19 +174,17 @@ def choose(
     >>> round(design.efficiency, 3)
     1.0
     """
-    columns = block_array(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
     problem = pose(rows, rules, criterion, prior, tolerance)
-    blocks, goal, base = problem.blocks, problem.criterion, problem.base
-    directions = blocks.shape[2]
-    best = best_of_all(blocks, goal, base, rules)
+    objective = problem.objective
+    goal, directions = objective.criterion, objective.directions
+    best = best_of_all(objective, rules)
     if best is not None:
-        value = goal.value(base + information(blocks[best]))
-        choice = _choice(problem, best, value, columns)
-        return choice.add_bound(goal, value, value, 0.0)
+        value = objective.value_of(best)
+        return problem.choice(best, value).add_bound(goal, value, value, 0.0)
     guiding = _guiding_criterion(goal, directions, rules)
-    guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
-    evaluator = CriterionEvaluator(blocks, goal, base)
+    guide = bound(dataclasses.replace(objective, criterion=guiding), rules)
+    evaluator = CriterionEvaluator(objective.blocks, goal, objective.base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
     best = search(evaluator, rules, guide.weights, guide.gradient, starts, rng, rounds)
     value = evaluator.value(best)
@@ -201,37 +197,36 @@ def choose(
             f"no plan under these rules determines the {directions} directions that the"
             " candidates determine"
         )
-    choice = _choice(problem, best, value, columns)
+    choice = problem.choice(best, value)
     upper = None
     if guiding is goal:
         upper = guide
     elif certify:
-        upper = _bound_of(blocks, goal, rules, base)
+        upper = _bound_of(objective, rules)
     if upper is None:
         return choice
     return choice.add_bound(goal, value, upper.bound, upper.duality_gap)
 
 
-def _choice(problem: "Problem", best: Index, value: float, columns: int) -> Choice:
-    return Choice(
-        indices=np.sort(best),
-        criterion=problem.criterion.name,
-        value=problem.criterion.conventional_value(value, len(best)),
-        directions=problem.blocks.shape[2],
-        columns=columns,
-        weak=problem.weak,
-    )
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Candidates over the directions that they or the prior determine."""
+    """The criterion of candidates over the directions that they or the prior determine."""
 
-    blocks: Array  #: (C, k, r) candidates over r directions
-    criterion: Criterion  #: over these directions
-    base: Array  #: (r, r) prior information
-    rounding: Rounding  #: of blocks and prior information
+    objective: CriterionObjective  #: over r directions
+    columns: int  #: number of columns of the candidates as given
     weak: int  #: directions left out although candidates or prior see them
+
+    def choice(self, plan: Index, value: float) -> Choice:
+        """A plan of this log phi, without a bound."""
+        criterion = self.objective.criterion
+        return Choice(
+            indices=np.sort(plan),
+            criterion=criterion.name,
+            value=criterion.conventional_value(value, len(plan)),
+            directions=self.objective.directions,
+            columns=self.columns,
+            weak=self.weak,
+        )
 
 
 def pose(
@@ -249,12 +244,12 @@ def pose(
     _check(blocks, rules)
     of_all = spectrum(blocks, prior)
     white = _estimable(blocks, goal, prior, tolerance, of_all)
-    goal = goal.restrict(white.basis)
     if prior is None:
         _check_size(white.blocks, rules)
-    return Problem(
-        white.blocks, goal, white.prior, white.rounding, of_all.weak(tolerance)
+    objective = CriterionObjective(
+        goal.restrict(white.basis), white.blocks, white.prior, white.rounding
     )
+    return Problem(objective, blocks.shape[2], of_all.weak(tolerance))
 
 
 def _estimable(
@@ -272,12 +267,6 @@ def _estimable(
     if prior is not None:
         base = basis.T @ prior @ basis
     return WhiteCandidates(projected, basis, base, NO_ROUNDING)
-
-
-def greedy_d(blocks: Array, size: int, base: Array) -> Index:
-    """The greedy D plan of `size` candidates."""
-    evaluator = CriterionEvaluator(blocks, Determinant(blocks.shape[2]), base)
-    return select_greedily(evaluator, Rules(size=size), evaluator.ridge())
 
 
 def _greedy_plans(
@@ -331,13 +320,12 @@ def _guiding_criterion(
     return Variance(np.eye(directions), "A")
 
 
-def _bound_of(
-    blocks: Array, criterion: Criterion, rules: Rules, base: Array
-) -> Relaxation | None:
+def _bound_of(objective: CriterionObjective, rules: Rules) -> Relaxation | None:
     """The bound of a criterion that is not smooth; None where none says anything."""
+    criterion = objective.criterion
     if criterion.concave:
-        return bound(blocks, criterion, rules, base)
-    upper = condition_bound(blocks, criterion, rules, base)
+        return bound(objective, rules)
+    upper = condition_bound(objective, rules)
     if upper is None or upper.bound > criterion.ceiling - TRIVIAL_MARGIN:
         return None
     return upper

@@ -31,7 +31,7 @@ from typing import Protocol
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import NO_ROUNDING, Rounding, gamma, information
+from oed.design.blocks import NO_ROUNDING, Rounding, gamma, information, quotient_error
 from oed.design.forms.protocol import Criterion, weight_gradient
 
 LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in log phi
@@ -40,10 +40,8 @@ LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in l
 def knapsack_value(gradient: Array, size: float, cap: Array | float) -> float:
     """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum_i w_i = size, best first."""
     if np.ndim(cap):
-        caps = np.asarray(cap, dtype=float)
-        order = np.argsort(-gradient, kind="stable")
-        before = np.concatenate([[0.0], np.cumsum(caps[order])[:-1]])
-        return float(gradient[order] @ np.clip(size - before, 0.0, caps[order]))
+        weights = knapsack_weights(gradient, size, np.asarray(cap, dtype=float))
+        return float(gradient @ weights)
     cap = float(cap)
     if not np.isfinite(cap) or cap >= size:
         return float(size * gradient.max())
@@ -54,6 +52,15 @@ def knapsack_value(gradient: Array, size: float, cap: Array | float) -> float:
     remainder = size - cap * full
     partial = remainder * best[full] if remainder > 0 else 0.0
     return float(cap * best[:full].sum() + partial)
+
+
+def knapsack_weights(gradient: Array, size: float, caps: Array) -> Array:
+    """Weights (C,) that fill the caps (C,), the largest slope first, to the size."""
+    order = np.argsort(-gradient, kind="stable")
+    weights = np.zeros(len(gradient))
+    filled = np.cumsum(caps[order]) - caps[order]
+    weights[order] = np.clip(size - filled, 0.0, caps[order])
+    return weights
 
 
 #: ridge, by the mean eigenvalue, that keeps an undetermined direction finite
@@ -153,6 +160,10 @@ class CriterionObjective:
         """log phi(M)."""
         return self.criterion.value(self.information_at(active, weights))
 
+    def value_of(self, plan: Index) -> float:
+        """log phi of a plan."""
+        return self.criterion.value(self.base + information(self.blocks[plan]))
+
     def tangent(self, active: Index, weights: Array) -> Tangent:
         """The criterion's supporting line."""
         m = self.information_at(active, weights)
@@ -197,6 +208,14 @@ class CriterionObjective:
     def subset(self, chosen: Index) -> "CriterionObjective":
         """The objective over a part of the candidates."""
         return dataclasses.replace(self, blocks=self.blocks[chosen])
+
+    def over_costs(self, cost: Array) -> "CriterionObjective":
+        """The objective of v = cost w, for costs (C,)."""
+        scaled = self.blocks / np.sqrt(cost)[:, None, None]
+        errors = self.rounding.rows / float(np.sqrt(cost.min()))
+        errors += quotient_error(scaled)
+        rounding = self.rounding._replace(rows=errors)
+        return dataclasses.replace(self, blocks=scaled, rounding=rounding)
 
     def regularised(self, weights: Array) -> "CriterionObjective":
         """The objective with a ridge, small beside the information at the weights."""

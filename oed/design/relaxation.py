@@ -27,8 +27,6 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import (
-    NO_ROUNDING,
-    Rounding,
     block_array,
     gamma,
     information,
@@ -269,7 +267,6 @@ def relax(
     cap: Array | float = 1.0,
     tolerance: float = 1e-8,
     criterion: Criterion | None = None,
-    rounding: Rounding = NO_ROUNDING,
 ) -> Relaxation:
     """Optimal weights of candidates for a concave criterion.
 
@@ -279,7 +276,6 @@ def relax(
     cap        largest weight, (C,) or one number
     tolerance  duality gap to reach, in log phi
     criterion  D by default; one that is not smooth is approached by its continuation
-    rounding   of rows and prior information
 
     Raises ValueError where the caps cannot carry `size`, or where candidates and prior
     leave directions undetermined.
@@ -288,37 +284,45 @@ def relax(
     n = blocks.shape[2]
     base = np.zeros((n, n)) if prior is None else prior
     goal = Determinant(n) if criterion is None else criterion
+    return relax_objective(CriterionObjective(goal, blocks, base), size, cap, tolerance)
+
+
+def relax_objective(
+    objective: CriterionObjective,
+    size: float,
+    cap: Array | float = 1.0,
+    tolerance: float = 1e-8,
+) -> Relaxation:
+    """As `relax`, for a criterion of candidates and prior information."""
+    goal = objective.criterion
     if not goal.concave:
         raise ValueError(
             f"{goal.name} is not concave: see oed.design.condition for its bound"
         )
     if goal.any_coordinates:
-        return _relax_determinant(blocks, size, base, cap, tolerance, rounding)
-    smooth = [c for c in goal.continuation() if c.smooth]
+        return _relax_determinant(objective, size, cap, tolerance)
+    smooth = [
+        dataclasses.replace(objective, criterion=level)
+        for level in goal.continuation()
+        if level.smooth
+    ]
     start: Array | None = None
     for level in smooth[:-1]:
-        objective = CriterionObjective(level, blocks, base)
-        start = solve(objective, size, cap, 1e-3, start).weights
-    last = CriterionObjective(smooth[-1], blocks, base, rounding)
-    optimum = solve(last, size, cap, tolerance, start)
+        start = solve(level, size, cap, 1e-3, start).weights
+    optimum = solve(smooth[-1], size, cap, tolerance, start)
     if goal.smooth:
         return optimum
     active = np.flatnonzero(optimum.weights > 0)
-    exact = CriterionObjective(goal, blocks, base)
-    value = exact.value(active, optimum.weights[active])
+    value = objective.value(active, optimum.weights[active])
     return dataclasses.replace(optimum, value=value)
 
 
 def _relax_determinant(
-    blocks: Array,
-    size: float,
-    base: Array,
-    cap: Array | float,
-    tolerance: float,
-    rounding: Rounding,
+    objective: CriterionObjective, size: float, cap: Array | float, tolerance: float
 ) -> Relaxation:
     """Optimal weights for D, in coordinates where candidates are well conditioned."""
-    n = blocks.shape[2]
+    n = objective.directions
+    blocks, base, rounding = objective.blocks, objective.base, objective.rounding
     shift = 0.0
     if is_ill_conditioned(base + information(blocks)):
         white = whiten(blocks, base if base.any() else None, 0.0)
@@ -326,8 +330,8 @@ def _relax_determinant(
             blocks, base = white.blocks, white.prior
             shift = -log_det_of_gram(white.basis) / n
             rounding = rounding.rounding_of_basis(white.basis).plus(white.rounding)
-    objective = CriterionObjective(Determinant(n), blocks, base, rounding)
-    optimum = solve(objective, size, cap, tolerance)
+    white_objective = CriterionObjective(Determinant(n), blocks, base, rounding)
+    optimum = solve(white_objective, size, cap, tolerance)
     return dataclasses.replace(
         optimum, value=optimum.value + shift, bound=optimum.bound + shift
     )

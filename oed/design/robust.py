@@ -81,7 +81,7 @@ def choose(
     def objective(cost: Array | None, sharpness: float) -> RiskObjective:
         parts = objectives
         if cost is not None:
-            parts = tuple(_cost_ratio(o, cost) for o in objectives)
+            parts = tuple(o.over_costs(cost) for o in objectives)
         return RiskObjective(parts, risk, tail_share, sharpness)
 
     levels = SHARPNESS[:1] if risk == "mean" else SHARPNESS
@@ -124,11 +124,6 @@ def _check(criterion: Criterion, tail_share: float) -> None:
         raise ValueError(
             f"the share of worst scenarios must lie in (0, 1], not {tail_share}"
         )
-
-
-def _cost_ratio(objective: CriterionObjective, cost: Array) -> CriterionObjective:
-    blocks = objective.blocks / np.sqrt(cost)[:, None, None]
-    return dataclasses.replace(objective, blocks=blocks)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -97,7 +97,8 @@ def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base triangle, limbs, platform triangle, spindle."""
-    return legs.skeleton(*zip(*_joints(x, p), strict=True), x)
+    feet, joints = zip(*_joints(x, p), strict=True)
+    return legs.skeleton(feet, joints, x)
 
 
 def _parameters() -> tuple[Parameter, ...]:

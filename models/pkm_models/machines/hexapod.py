@@ -66,7 +66,8 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base, legs, platform, spindle."""
-    return legs.skeleton(*zip(*_joints(x, p), strict=True), x)
+    feet, joints = zip(*_joints(x, p), strict=True)
+    return legs.skeleton(feet, joints, x)
 
 
 machine = six_dof.machine(

@@ -7,6 +7,7 @@ from oed.design import Rules, choose
 from oed.design.blocks import find_copies
 from oed.design.bounds import bound
 from oed.design.forms import Determinant
+from oed.design.objective import CriterionObjective
 
 
 def test_copies_share_the_weight_and_keep_the_bound():
@@ -19,9 +20,10 @@ def test_copies_share_the_weight_and_keep_the_bound():
     assert copies.number.sum() == 180
     nothing = np.zeros((5, 5))
     goal = Determinant(5)
-    merged = bound(several, goal, Rules(size=12), nothing)
+    merged = bound(CriterionObjective(goal, several, nothing), Rules(size=12))
     # the same weights, without the copies: three of each as one of three times the weight
-    apart = bound(rows * np.sqrt(3.0), goal, Rules(size=4), nothing)
+    alone = CriterionObjective(goal, rows * np.sqrt(3.0), nothing)
+    apart = bound(alone, Rules(size=4))
     assert merged.bound == pytest.approx(apart.bound, abs=1e-8)
     assert merged.weights.sum() == pytest.approx(12.0)
     assert merged.weights.max() <= 1.0 + 1e-9

@@ -48,5 +48,5 @@ def test_other_criteria_rules_and_many_plans_are_left_to_the_search():
     ):
         rules = Rules(size=6)
         problem = pose(rows[:count], rules, criterion, None, 1e-6)
-        plan = best_of_all(problem.blocks, problem.criterion, problem.base, rules)
+        plan = best_of_all(problem.objective, rules)
         assert (plan is not None) == taken

@@ -12,6 +12,7 @@ from oed.design.evaluator import CriterionEvaluator
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import Variance
+from oed.design.objective import CriterionObjective
 from oed.design.rules import SetupLimit, TimeBudget
 from oed.design.search import _Exchange, _Restarts, improve, search, select_greedily
 
@@ -66,10 +67,11 @@ def test_greedy_plans_take_the_best_candidate_each_time(name):
 def test_searches_end_at_the_best_plan_and_below_the_bound(name, seed):
     criterion, (blocks, base) = CRITERIA[name], problem(10 + seed)
     rules, evaluator = Rules(size=SIZE), CriterionEvaluator(blocks, criterion, base)
+    objective = CriterionObjective(criterion, blocks, base)
     if criterion.concave:
-        upper = bound(blocks, criterion, rules, base)
+        upper = bound(objective, rules)
     else:
-        found = condition_bound(blocks, criterion, rules, base)
+        found = condition_bound(objective, rules)
         assert found is not None
         upper = found
     every = itertools.combinations(range(COUNT), SIZE)
@@ -118,15 +120,17 @@ def test_a_budget_of_time_bounds_plans_of_any_size():
     criterion, (blocks, base) = CRITERIA["D"], problem(5)
     cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
     rules = Rules(time=TimeBudget(cost, 7.0))
-    upper = bound(blocks, criterion, rules, base)
+    objective = CriterionObjective(criterion, blocks, base)
+    upper = bound(objective, rules)
     assert upper.weights @ cost == pytest.approx(7.0, rel=1e-3)
     for size in range(1, 8):
         for plan in itertools.combinations(range(COUNT), size):
             if cost[list(plan)].sum() <= 7.0:
                 value = plan_value(criterion, blocks, base, plan)
                 assert value <= upper.bound + 1e-9
-    assert condition_bound(blocks, CRITERIA["kappa"], rules, base) is None
-    assert condition_bound(blocks, criterion, Rules(size=3), base) is None
+    kappa = CriterionObjective(CRITERIA["kappa"], blocks, base)
+    assert condition_bound(kappa, rules) is None
+    assert condition_bound(objective, Rules(size=3)) is None
 
 
 def test_the_best_two_set_ups_are_those_of_all_pairs():

@@ -8,6 +8,7 @@ import pytest
 from oed.design import Criterion, Rules, tabu
 from oed.design.bounds import bound
 from oed.design.forms import Determinant, ExtremeEigenvalues, Variance
+from oed.design.objective import CriterionObjective
 
 N = 4
 CRITERIA: dict[str, Criterion] = {
@@ -77,7 +78,8 @@ def test_relaxation_of_equal_candidates_that_all_lie_in_a_subspace():
     x = np.array(list(itertools.product(levels, repeat=5)))
     products = [x[:, i] * x[:, j] for i in range(5) for j in range(i, 5)]
     rows = np.column_stack([np.ones(len(x)), x, *products])
-    criterion, nothing = Determinant(21), np.zeros((21, 21))
+    nothing = np.zeros((21, 21))
+    objective = CriterionObjective(Determinant(21), rows[:, None], nothing)
     for size in (21, 25, 29):
-        relaxed = bound(rows[:, None], criterion, Rules(size=size), nothing)
+        relaxed = bound(objective, Rules(size=size))
         assert relaxed.duality_gap < 1e-7
