@@ -47,6 +47,7 @@ from oed.design.forms import (
     PowerMean,
     Variance,
 )
+from oed.design.forms.compound import join_supports
 from oed.design.forms.protocol import Support, weight_gradient
 from oed.design.objective import LOG_ROUNDING, knapsack_value, knapsack_weights
 from oed.design.relaxation import Relaxation
@@ -227,8 +228,6 @@ class NoConicAnswerError(ValueError):
     """The conic solver ended without an answer; the text says what to use instead."""
 
 
-#: duality gap of the relaxation whose information scales the problem
-SCALING_TOLERANCE = 1e-2
 RATIO_TOLERANCE = 1e-10  #: relative accuracy of the least ratio of kappa
 #: number of Dinkelbach's steps towards it, which converge superlinearly
 MAX_RATIO_STEPS = 30
@@ -253,24 +252,13 @@ def relax(
     limit_rows, upper = limits or (np.zeros((0, count)), np.zeros(0))
     feasible = Polytope(size, caps, limit_rows, upper)
     base = np.zeros((n, n)) if prior is None else np.asarray(prior, dtype=float)
-    problem = _ConicProblem(blocks, base, feasible, _typical(blocks, base, size, cap))
+    # of a good plan without limits
+    weights = relaxation.determined_start(blocks, base, size, cap)
+    typical = base + information(blocks, weights)
+    problem = _ConicProblem(blocks, base, feasible, typical)
     if isinstance(criterion, ExtremeEigenvalues) and not criterion.concave:
         return _relax_condition(problem, criterion, solver)
     return _relax_concave(problem, criterion, solver)
-
-
-def _typical(blocks: Array, base: Array, size: float, cap: Array | float) -> Array:
-    """Information (n, n) of a good plan without limits."""
-    try:
-        start = relaxation.relax(blocks, size, base, cap, SCALING_TOLERANCE)
-        typical = base + information(blocks, start.weights)
-        np.linalg.cholesky(typical)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(
-            "candidates and prior leave directions undetermined: restrict the problem"
-            " to the estimable subspace"
-        ) from error
-    return typical
 
 
 class _ConicProblem:
@@ -328,7 +316,7 @@ def _relax_concave(
     if isinstance(criterion, Compound):
         parts, shares = criterion.parts, criterion.shares
     terms = [ConicCriterion(c, m, problem.turn, problem.typical) for c in parts]
-    pairs = list(zip(shares, terms, strict=True))
+    pairs = zip(shares, terms, strict=True)
     goal = cp.Maximize(sum(share * term.log for share, term in pairs))
     constraints = problem.limits(variable)
     for term in terms:
@@ -336,8 +324,8 @@ def _relax_concave(
     _solve(goal, constraints, solver)
     weights = _feasible_weights(problem, variable.value)
     m_at_weights = problem.information(weights)
-    supports = [(share, term.support(m_at_weights)) for share, term in pairs]
-    offset, root = _join(supports, m_at_weights)
+    supports = [term.support(m_at_weights) for term in terms]
+    offset, root = join_supports(shares, supports, m_at_weights)
     line_gradient = weight_gradient(problem.blocks, root)
     weighted = problem.feasible.maximise(line_gradient)[0] + problem.base_term(root)
     # the line is one of the least eigenvalue, of which E or O3 is a power
@@ -353,17 +341,6 @@ def _feasible_weights(problem: _ConicProblem, weights: Array | None) -> Array:
         caps = problem.feasible.caps
         weights = caps * (problem.feasible.size / caps.sum())
     return problem.feasible.nearest(np.asarray(weights))
-
-
-def _join(supports: list[tuple[float, Support]], m: Array) -> tuple[float, Array]:
-    """Offset and root of one line above a weighted sum of criteria."""
-    offset = 0.0
-    roots = []
-    for share, support in supports:
-        size = float(np.sum((m @ support.root) * support.root))
-        offset += share * (support.value + np.log(size))
-        roots.append(np.sqrt(share / size) * support.root)
-    return float(offset), np.hstack(roots)
 
 
 def _relax_condition(

@@ -44,12 +44,12 @@ Combination = tuple[int, ...]
 
 
 def rank_combinations(
-    blocks: Array, criterion: Criterion, base: Array, rules: Rules, setups: SetupLimit
+    objective: CriterionObjective, rules: Rules, setups: SetupLimit
 ) -> list[Combination]:
     """Combinations of at most `setups.most` and mounted set-ups, the best first."""
     names = [int(name) for name in setups.mountable]
     most = setups.most_of(len(names))
-    values = _CombinationValues(blocks, criterion, base, rules, setups)
+    values = _CombinationValues(objective, rules, setups)
     if math.comb(len(names), most) <= MAX_COMBINATIONS:
         combinations = itertools.combinations(names, most)
         return sorted(combinations, key=values.of, reverse=True)[:BEST_COMBINATIONS]
@@ -88,9 +88,7 @@ def _exchange_setups(
 class _CombinationValues:
     """Relaxed values of combinations of set-ups; each is computed once."""
 
-    blocks: Array
-    criterion: Criterion
-    base: Array
+    objective: CriterionObjective
     rules: Rules
     setups: SetupLimit
     computed: dict[Combination, float] = dataclasses.field(default_factory=dict)
@@ -103,14 +101,11 @@ class _CombinationValues:
 
     def _relaxed_value(self, combination: Combination) -> float:
         chosen = thin(self.setups, combination)
-        blocks, base, criterion = drop_untouched_columns(
-            self.blocks[chosen], self.base, self.criterion
-        )
+        objective = drop_untouched_columns(self.objective.subset(chosen))
         mounted = [*combination, *self.setups.mounted]
         available = int(np.isin(self.setups.setup, mounted).sum())
         thinning = len(chosen) / available
         rules = self.rules.free_setups(self.setups).subset(chosen)
-        objective = CriterionObjective(criterion, blocks, base)
         try:
             values = [
                 _thinned_value(objective, problem, thinning)
@@ -142,19 +137,17 @@ def thin(setups: SetupLimit, combination: Combination) -> Index:
     return np.sort(np.concatenate(thinned)).astype(np.intp)
 
 
-def drop_untouched_columns(
-    blocks: Array, base: Array, criterion: Criterion
-) -> tuple[Array, Array, Criterion]:
-    """The problem without columns that neither a block nor the prior touches."""
+def drop_untouched_columns(objective: CriterionObjective) -> CriterionObjective:
+    """The objective without columns that neither a block nor the prior touches."""
+    blocks, base = objective.blocks, objective.base
     uncoupled = np.count_nonzero(base, axis=0) <= 1
-    untouched = ~blocks.any(axis=(0, 1)) & uncoupled
-    if not untouched.any():
-        return blocks, base, criterion
-    basis = np.eye(base.shape[0])[:, ~untouched]
-    return (
-        np.ascontiguousarray(blocks[:, :, ~untouched]),
-        base[np.ix_(~untouched, ~untouched)],
-        criterion.restrict(basis),
+    touched = blocks.any(axis=(0, 1)) | ~uncoupled
+    if touched.all():
+        return objective
+    return CriterionObjective(
+        objective.criterion.restrict(np.eye(len(base))[:, touched]),
+        np.ascontiguousarray(blocks[:, :, touched]),
+        base[np.ix_(touched, touched)],
     )
 
 
@@ -440,14 +433,14 @@ class DesignProblem:
     def _combinations(self, criterion: Criterion) -> list[tuple[int, ...]]:
         """The best sets of the most set-ups; by budget, of each number."""
         c = self.candidates
-        arguments = c.blocks, criterion.relaxed, c.prior_information, self.rules
+        objective = CriterionObjective(criterion.relaxed, c.blocks, c.prior_information)
         if self.rules.budget is None:
-            return rank_combinations(*arguments, self.setups)
+            return rank_combinations(objective, self.rules, self.setups)
         combinations = []
         largest = self.setups.most_of(len(self.new_setups))
         for most in range(1, largest + 1):
             limited = dataclasses.replace(self.setups, most=most)
-            combinations += rank_combinations(*arguments, limited)[:1]
+            combinations += rank_combinations(objective, self.rules, limited)[:1]
         return combinations
 
     def _best_within(

@@ -191,22 +191,11 @@ class StepSystem:
         right[-1] -= np.trace(second.high)
         return right
 
-    def complementarity(self, move: Move | None, primal: float, dual: float) -> float:
-        """Sum of the complementarities, now or after shares of a move."""
-        iterate = self.iterate
-        room = self.problem.caps - self.iterate.w
-        if move is None:
-            total = float(
-                np.sum(iterate.y * self.s1) + iterate.a @ iterate.w + iterate.b @ room
-            )
-            return total + (float(np.sum(iterate.z * self.s2)) if self.slope else 0.0)
-        after = iterate.after(move, primal, dual)
-        total = float(np.sum(after.y * (self.s1 + primal * move.s1)))
-        total += float(after.a @ after.w)
-        total += float(after.b @ (room - primal * move.w))
-        if self.slope:
-            total += float(np.sum(after.z * (self.s2 + primal * move.s2)))
-        return total
+    def complementarity(self, iterate: Iterate, s1: Array, s2: Array) -> float:
+        """Sum of the complementarities of an iterate with its S1 and S2."""
+        room = self.problem.caps - iterate.w
+        of_matrices = np.sum(iterate.y * s1) + np.sum(iterate.z * s2)
+        return float(of_matrices + iterate.a @ iterate.w + iterate.b @ room)
 
 
 def _factorise(h: Array) -> tuple[Array, bool]:
@@ -294,15 +283,8 @@ def build_problem(
     caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
     relaxation.check_caps(caps, size, cap)
     base = np.zeros((n, n)) if prior is None else np.asarray(prior, dtype=float)
-    try:
-        _check_determined(base + information(blocks, caps * (size / caps.sum())))
-        start = relaxation.relax(blocks, size, base, caps, 1e-2).weights
-        turn = np.linalg.inv(np.linalg.cholesky(base + information(blocks, start)))
-    except np.linalg.LinAlgError as error:
-        raise ValueError(
-            "candidates and prior leave directions undetermined: restrict the problem"
-            " to the estimable subspace"
-        ) from error
+    start = relaxation.determined_start(blocks, base, size, caps)
+    turn = np.linalg.inv(np.linalg.cholesky(base + information(blocks, start)))
     return InteriorProblem(
         blocks=blocks,
         base=base,
@@ -314,15 +296,6 @@ def build_problem(
         white_base=turn @ base @ turn.T,
         square=np.asarray(turn @ turn.T),
     )
-
-
-def _check_determined(m: Array) -> None:
-    """Raises LinAlgError where M (n, n) is singular, whatever its columns' units."""
-    n = len(m)
-    scale = np.sqrt(np.diag(m))
-    if not scale.all():
-        raise np.linalg.LinAlgError("a column is zero")
-    np.linalg.cholesky(m / np.outer(scale, scale) - 1e-14 * n * np.eye(n))
 
 
 class InteriorPath:
@@ -382,15 +355,17 @@ class InteriorPath:
         """
         iterate = self.iterate
         try:
-            low, high = (
-                self._low(iterate.w, iterate.t),
-                self._high(iterate.w, iterate.r),
-            )
+            low = self._low(iterate.w, iterate.t)
+            high = self._high(iterate.w, iterate.r)
             system = StepSystem(self.problem, self.slope, iterate, low, high)
-            now = system.complementarity(None, 0.0, 0.0)
+            now = system.complementarity(iterate, low, high)
             guess = system.move(0.0, None)
-            full_primal, full_dual = min(1.0, guess.primal), min(1.0, guess.dual)
-            after_guess = system.complementarity(guess, full_primal, full_dual)
+            primal, dual = min(1.0, guess.primal), min(1.0, guess.dual)
+            after_guess = system.complementarity(
+                iterate.after(guess, primal, dual),
+                low + primal * guess.s1,
+                high + primal * guess.s2,
+            )
             mu = now / system.order
             centring = float(np.clip((after_guess / now) ** 2, 1e-3, 1.0))
             move = system.move(centring * mu, guess)

@@ -337,6 +337,31 @@ def _relax_determinant(
     )
 
 
+SCALING_GAP = 1e-2  #: duality gap of weights that only scale a problem
+
+
+def determined_start(
+    blocks: Array, base: Array, size: float, cap: Array | float
+) -> Array:
+    """Weights (C,) of a good plan by D, of blocks (C, k, n) and prior (n, n). Raises
+    ValueError where these leave directions undetermined, whatever the columns' units.
+    """
+    count, _, n = blocks.shape
+    caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
+    m = base + information(blocks, caps * (size / caps.sum()))
+    scale = np.sqrt(np.diag(m))
+    try:
+        if not scale.all():
+            raise np.linalg.LinAlgError("a column is zero")
+        np.linalg.cholesky(m / np.outer(scale, scale) - 1e-14 * n * np.eye(n))
+        return relax(blocks, size, base, caps, SCALING_GAP).weights
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            "candidates and prior leave directions undetermined: restrict the problem"
+            " to the estimable subspace"
+        ) from error
+
+
 def solve(
     objective: Objective,
     size: float,

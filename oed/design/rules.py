@@ -20,25 +20,24 @@ from oed.design.quotas import QuotaSet
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ReadingTimes:
-    """Time of C candidates, s: `cost` (C,) limits no plan by itself."""
-
-    cost: Array
-
-    def subset(self, pool: Index) -> ReadingTimes:
-        """The times of a part of the candidates."""
-        return dataclasses.replace(self, cost=self.cost[pool])
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class TimeBudget(ReadingTimes):
+class TimeBudget:
     """Time of C candidates, `cost` (C,), of which a plan may take `available`; s."""
 
-    available: float
+    cost: Array
+    available: float = math.inf  #: infinite where time is stated, and no rule
 
     def __post_init__(self) -> None:
-        if not (np.asarray(self.cost) > 0).all():
+        if self.is_limited and not (np.asarray(self.cost) > 0).all():
             raise ValueError("a budget needs the positive cost of every candidate")
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether it is a rule."""
+        return math.isfinite(self.available)
+
+    def subset(self, pool: Index) -> TimeBudget:
+        """The times of a part of the candidates."""
+        return dataclasses.replace(self, cost=self.cost[pool])
 
     def allows(self, seconds: Array) -> Mask:
         """Which times of plans, s, fit into the budget."""
@@ -163,8 +162,8 @@ class Rules:
 
     #: number of candidates to choose; with a budget, at the most
     size: int | None = None
-    #: time of each candidate, or the budget, which limits their sum
-    time: ReadingTimes | None = None
+    #: time of each candidate, and the budget, which limits their sum
+    time: TimeBudget | None = None
     #: set-up of each candidate, time to mount it, and number of set-ups
     setups: SetupLimit | None = None
     #: least distance of two chosen candidates of one set-up
@@ -208,9 +207,10 @@ class Rules:
 
         Raises ValueError without size and budget, and for a budget without times.
         """
-        time = None if seconds is None else ReadingTimes(seconds)
-        if budget is not None:
-            time = TimeBudget(np.zeros(1) if seconds is None else seconds, budget)
+        time = None
+        if seconds is not None or budget is not None:
+            cost = np.zeros(1) if seconds is None else seconds
+            time = TimeBudget(cost, math.inf if budget is None else budget)
         setups = None
         if setup is not None:
             setups = SetupLimit(setup, mounting, most_setups, mounted)
@@ -224,7 +224,8 @@ class Rules:
     @property
     def budget(self) -> TimeBudget | None:
         """The time available, where it is limited."""
-        return self.time if isinstance(self.time, TimeBudget) else None
+        limited = self.time is not None and self.time.is_limited
+        return self.time if limited else None
 
     @property
     def limits_setups(self) -> bool:

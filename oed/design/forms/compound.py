@@ -58,16 +58,7 @@ class Compound(Criterion):
 
     def support(self, m: Array) -> Support:
         """The parts' supports, joined."""
-        supports = [part.support(m) for part in self.parts]
-        pairs = list(zip(self.shares, supports, strict=True))
-        value = sum(share * support.value for share, support in pairs)
-        # scaling each line to <S, M> = 1 first makes the joined one touch at M
-        roots = []
-        for share, support in pairs:
-            size = float(np.sum((m @ support.root) * support.root))
-            value += share * np.log(size)
-            roots.append(np.sqrt(share / size) * support.root)
-        return Support(float(value), np.hstack(roots))
+        return join_supports(self.shares, [part.support(m) for part in self.parts], m)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """Weighted sum of the parts' curvatures."""
@@ -101,6 +92,20 @@ class Compound(Criterion):
             )
             approach.append(dataclasses.replace(self, parts=parts))
         return (*approach, self)
+
+
+def join_supports(
+    shares: Sequence[float], supports: Sequence[Support], m: Array
+) -> Support:
+    """One line above a weighted sum of criteria, from their lines."""
+    value = 0.0
+    roots = []
+    # scaling each line to <S, M> = 1 first makes the joined one touch at M
+    for share, support in zip(shares, supports, strict=True):
+        size = float(np.sum((m @ support.root) * support.root))
+        value += share * (support.value + float(np.log(size)))
+        roots.append(np.sqrt(share / size) * support.root)
+    return Support(value, np.hstack(roots))
 
 
 def compound(parts: Mapping[Criterion, float]) -> Criterion:

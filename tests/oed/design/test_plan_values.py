@@ -142,7 +142,8 @@ def test_the_best_two_set_ups_are_those_of_all_pairs():
     base, criterion = 0.05 * np.eye(N), CRITERIA["D"]
     setups = SetupLimit(setup, most=2)
     rules = Rules(size=6, setups=setups)
-    (first, *_) = rank_combinations(blocks, criterion, base, rules, setups)
+    objective = CriterionObjective(criterion, blocks, base)
+    (first, *_) = rank_combinations(objective, rules, setups)
 
     def value(pair: tuple[int, ...]) -> float:
         # six readings of six: all of them
@@ -160,9 +161,10 @@ def test_columns_that_no_block_touches_leave():
     blocks = np.random.default_rng(1).standard_normal((5, 1, 4))
     blocks[:, :, 2] = 0.0
     base = np.diag([1.0, 2.0, 3.0, 4.0])
-    fewer, smaller, criterion = drop_untouched_columns(blocks, base, Determinant(4))
-    assert fewer.shape == (5, 1, 3)
-    assert np.diag(smaller).tolist() == [1.0, 2.0, 4.0]
-    assert criterion.value(smaller) == pytest.approx(np.log(8.0) / 3.0)
+    objective = CriterionObjective(Determinant(4), blocks, base)
+    fewer = drop_untouched_columns(objective)
+    assert fewer.blocks.shape == (5, 1, 3)
+    assert np.diag(fewer.base).tolist() == [1.0, 2.0, 4.0]
+    assert fewer.criterion.value(fewer.base) == pytest.approx(np.log(8.0) / 3.0)
     base[2, 0] = base[0, 2] = 0.5
-    assert drop_untouched_columns(blocks, base, Determinant(4))[0].shape == (5, 1, 4)
+    assert drop_untouched_columns(objective) is objective
