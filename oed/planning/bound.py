@@ -31,8 +31,8 @@ import numpy as np
 from oed.base import Array, Index, Mask
 from oed.design import relax
 from oed.linear_algebra import precision_root
-from oed.planning.goal import Goal
 from oed.planning.option import Option
+from oed.planning.problem import PlanProblem
 from oed.planning.travel import capture_probability_bound, is_captured
 
 LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in log phi
@@ -52,31 +52,26 @@ class CombinationBound:
 
     parts: "tuple[OptionBound, ...]"
     mounting: Array  #: (options,) time to mount each, s
-    goal: Goal
-    information: Array  #: (n, n) about the machine before
-    budget: float  #: s
+    problem: PlanProblem
 
     @classmethod
-    def of(
-        cls, options: Sequence[Option], goal: Goal, information: Array, budget: float
-    ) -> "CombinationBound":
-        """The bound for a catalogue of options."""
+    def of(cls, problem: PlanProblem) -> "CombinationBound":
+        """The bound for the options of a problem."""
+        n = problem.goal.parameters
         return cls(
-            parts=tuple(OptionBound.of(o, len(information)) for o in options),
-            mounting=np.array([option.mounting_seconds for option in options]),
-            goal=goal,
-            information=information,
-            budget=budget,
+            parts=tuple(OptionBound.of(option, n) for option in problem.options),
+            mounting=_mounting_seconds(problem),
+            problem=problem,
         )
 
     def relax(self, members: Sequence[int]) -> dict[int, Array]:
         """Best relaxed weights {option: (C,)} of a combination within the budget."""
         parts = [self.parts[s] for s in members]
-        rows = _joint_rows(parts, len(self.information))
+        n = self.problem.goal.parameters
+        rows = _joint_rows(parts, n)
         base = np.eye(rows.shape[2])
-        n = len(self.information)
-        base[:n, :n] = self.information
-        time = self.budget - float(self.mounting[list(members)].sum())
+        base[:n, :n] = self.problem.information
+        time = self.problem.budget - float(self.mounting[list(members)].sum())
         weights = self._settle_prices(parts, rows, base, time)
         ends = np.cumsum([len(part.cost) for part in parts])[:-1]
         return dict(zip(members, np.split(weights, ends), strict=True))
@@ -95,8 +90,8 @@ class CombinationBound:
         limit = np.array([part.limit for part in parts])
         mean = np.array([part.cost.mean() for part in parts])
         time = min(time, sum(part.longest for part in parts))
-        setup_columns = rows.shape[2] - len(self.information)
-        criterion = self.goal.criterion(setup_columns).relaxed
+        goal = self.problem.goal
+        criterion = goal.criterion(rows.shape[2] - goal.parameters).relaxed
         price = mean
         for _ in range(MAX_PRICE_STEPS):
             extra = price - mean
@@ -120,13 +115,13 @@ class CombinationBound:
         added = sum(
             self.parts[s].information(w, profiles[s]) for s, w in weights.items()
         )
-        line = self.goal.criterion(0).relaxed.support(
-            np.asarray(self.information + added)
-        )
+        before = self.problem.information
+        criterion = self.problem.goal.criterion(0).relaxed
+        line = criterion.support(np.asarray(before + added))
         worth, prices = self._worth(profiles, line.root)
-        total = worth[combinations].sum(axis=1) + prices * self.budget
+        total = worth[combinations].sum(axis=1) + prices * self.problem.budget
         least_worth = total.min(axis=1)
-        prior = float(np.sum((self.information @ line.root) * line.root))
+        prior = float(np.sum((before @ line.root) * line.root))
         return np.asarray(line.value + np.log(prior + least_worth) + LOG_ROUNDING)
 
     def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
@@ -244,29 +239,19 @@ class GoalBound:
     promising: tuple[dict[int, float], ...] = ()
 
 
-def bound_goal(
-    options: Sequence[Option],
-    goal: Goal,
-    information: Array,
-    budget: float,
-    stages: int,
-    value: float,
-    rng: np.random.Generator,
-    *,
-    loss: float = 0.05,
-) -> GoalBound:
-    """Bound the goal over all plans of at most `stages` options within `budget` (s), by
-    lines until `value` is certified within `loss`, or MAX_LINES. Raises ValueError for
-    too many combinations.
+def bound_goal(problem: PlanProblem, value: float, loss: float = 0.05) -> GoalBound:
+    """Bound the goal over all plans of a problem, by lines until `value` is certified
+    within `loss`, or MAX_LINES. Raises ValueError for too many combinations.
     """
-    mounting = np.array([option.mounting_seconds for option in options])
-    combinations = _combinations(mounting, budget, stages)
+    combinations = _combinations(
+        _mounting_seconds(problem), problem.budget, problem.stages
+    )
     if not len(combinations):
         return GoalBound(np.inf, 0)
-    least = bound_uncaptured(options, goal, information, combinations, rng)
+    least = bound_uncaptured(problem, combinations)
     upper = -2.0 * np.log(least)
-    goal_bound = CombinationBound.of(options, goal, information, budget)
-    rest = goal.least_rest
+    goal_bound = CombinationBound.of(problem)
+    rest = problem.goal.least_rest
     target = _log_phi(_reducible(value / (1.0 + loss), rest))
     relaxed: dict[int, dict[int, float]] = {}
     computed = 0
@@ -290,6 +275,11 @@ def bound_goal(
     promising = tuple(relaxed[k] for k in ranked[:PROMISING_COMBINATIONS])
     total = math.sqrt(math.exp(-highest) + rest)
     return GoalBound(total, computed, promising)
+
+
+def _mounting_seconds(problem: PlanProblem) -> Array:
+    """Time (options,) to mount each option, s."""
+    return np.array([option.mounting_seconds for option in problem.options])
 
 
 def _reducible(value: float, rest: float) -> float:
@@ -321,18 +311,13 @@ def _combinations(mounting: Array, budget: float, stages: int) -> Index:
 
 
 # -- machines that no reading captures -------------------------------------------------
-def bound_uncaptured(
-    options: Sequence[Option],
-    goal: Goal,
-    information: Array,
-    combinations: Index,
-    rng: np.random.Generator,
-) -> Array:
+def bound_uncaptured(problem: PlanProblem, combinations: Index) -> Array:
     """Goal value (T,) at the least of combinations (T, stages) of options, from drawn
     machines less four standard errors.
     """
-    root = precision_root(information)
-    errors = rng.standard_normal((MACHINES_DRAWN, len(information))) @ root.T
+    options, goal, rng = problem.options, problem.goal, problem.streams.bound
+    root = precision_root(problem.information)
+    errors = rng.standard_normal((MACHINES_DRAWN, goal.parameters)) @ root.T
     uncaptured = _uncaptured(options, errors, rng)
     squared = [np.sum((errors @ factor.T) ** 2, axis=1) for factor in goal.factors]
     squares = np.stack(squared, axis=1)

@@ -9,6 +9,7 @@ unit is the accuracy before any reading.
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -76,20 +77,23 @@ class Goal:
         return np.asarray(_triangles(stacked[None] / np.sqrt(len(self.factors)))[0])
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ToolErrors:
+class ToolEffects(Protocol):
     """What effects beside the geometry do to the tool."""
 
-    #: (poses, k, u) per unit of each of u effects of prior variance 1, SI
-    jacobian: Array
-    rest: Array  #: (k,) mean square by what no reading reduces, SI
+    @property
+    def tool(self) -> Array:
+        """(poses, k, u) pose errors per unit of each of u effects of prior variance 1, SI."""
+
+    @property
+    def others(self) -> Array:
+        """(k,) mean square by what no reading reduces, SI."""
 
 
 def workspace_goal(
     measurement: Measurement,
     maps: ErrorMaps,
     targets: Mapping[str, float],
-    effects: ToolErrors | None = None,
+    effects: ToolEffects | None = None,
 ) -> Goal:
     """Goal over the workspace of `maps`, for the components with targets.
 
@@ -109,10 +113,8 @@ def workspace_goal(
     jacobian = scaled[:, :, free]
     rest = np.zeros(len(maps.names))
     if effects is not None:
-        jacobian, rest = (
-            np.concatenate([jacobian, effects.jacobian], axis=2),
-            effects.rest,
-        )
+        jacobian = np.concatenate([jacobian, effects.tool], axis=2)
+        rest = effects.others
     by_component = np.transpose(jacobian, (1, 0, 2))
     table = by_component / np.sqrt(len(maps.command))
     before = np.sqrt(np.sum(table**2, axis=(1, 2)) + rest)

@@ -416,23 +416,6 @@ def _positive_part(matrix: Array) -> Array:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def profiled_information(blocks: Array, weights: Array, columns: int) -> Array:
-    """Information (n, n) about the machine, set-ups' parameters profiled out.
-
-    blocks   (N, k, n + s) whitened rows;  weights (N,) of the blocks
-    columns  n
-    """
-    rows = (blocks * np.sqrt(weights)[:, None, None]).reshape(-1, blocks.shape[2])
-    joint = rows.T @ rows
-    setup_columns = blocks.shape[2] - columns
-    if not setup_columns:
-        return joint
-    of_setups = joint[columns:, columns:] + np.eye(setup_columns)
-    mixed = joint[columns:, :columns]
-    profiled = mixed.T @ np.linalg.solve(of_setups, mixed)
-    return joint[:columns, :columns] - profiled
-
-
 def _information(option: Option, chosen: Index, patterns: Array) -> Array:
     """Information (G, w, w) about all unknowns of each pattern (G, N) of captures."""
     blocks = option.candidates.blocks[chosen]

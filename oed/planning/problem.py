@@ -6,6 +6,7 @@ information is weighted with the probability that it is captured.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -16,12 +17,7 @@ from oed.planning import travel
 from oed.planning.goal import Goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
-from oed.planning.prediction import (
-    MACHINE_DRAWS,
-    PlanStage,
-    predict_stage,
-    profiled_information,
-)
+from oed.planning.prediction import MACHINE_DRAWS, PlanStage, predict_stage, profile
 
 # Random streams of a plan search: one for each question that drawn machines answer.
 #
@@ -36,32 +32,27 @@ VERIFICATION_SEED = 18
 BOUND_SEED = 19
 
 
+def capture_stream() -> np.random.Generator:
+    """Of the machines that estimate how often runs are captured."""
+    return np.random.default_rng(CAPTURE_SEED)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlanStreams:
-    """Generators which the caller of a plan search provides."""
+    """Generators of one search.
+
+    All searches of a study judge refined plans by the same drawn machines: the streams of
+    those start anew at each use, and follow no seed.
+    """
 
     #: machines of partial plans; drawn on and on during the search
     first_look: np.random.Generator
     bound: np.random.Generator  #: machines for the bound over all plans; drawn once
-    #: () starts the stream that estimates how often runs are captured
-    capture: Callable[[], np.random.Generator]
-    #: (k) starts the stream of stage k while plans are refined
-    refinement: Callable[[int], np.random.Generator]
-    #: (k) starts the stream of stage k by which refined plans are judged
-    verification: Callable[[int], np.random.Generator]
 
     @classmethod
     def seeded(cls, seed: int | Sequence[int]) -> "PlanStreams":
-        """The streams of one search; only the first look at partial plans follows the
-        seed. All searches of a study so judge their plans by the same drawn machines.
-        """
-        return cls(
-            first_look=np.random.default_rng(seed),
-            bound=np.random.default_rng(BOUND_SEED),
-            capture=lambda: np.random.default_rng(CAPTURE_SEED),
-            refinement=lambda stage: np.random.default_rng([REFINEMENT_SEED, stage]),
-            verification=lambda k: np.random.default_rng([VERIFICATION_SEED, k]),
-        )
+        """The streams of one search; only the first look at partial plans follows the seed."""
+        return cls(np.random.default_rng(seed), np.random.default_rng(BOUND_SEED))
 
 
 #: identities of the stage before and of the option, machines drawn, readings
@@ -178,7 +169,6 @@ def predict_plan(
     readings: Sequence[tuple[Option, Index]],
     goal: Goal,
     start: Array,
-    streams: PlanStreams,
     stage_generator: Callable[[int], np.random.Generator],
 ) -> StagePlan:
     """A plan of some candidates of each option, one option after the other.
@@ -189,7 +179,7 @@ def predict_plan(
     prior: Prior = start
     stages: list[PlanStage] = []
     for k, (option, chosen) in enumerate(readings):
-        probability = travel.capture_probability(option, prior, streams.capture())
+        probability = travel.capture_probability(option, prior, capture_stream())
         rng = stage_generator(k)
         stages.append(predict_stage(option, chosen, prior, probability, rng))
         prior = stages[-1].posterior
@@ -205,12 +195,11 @@ def predict_plan(
 def covariance_of_all(options: Sequence[Option], start: Array) -> Array:
     """Covariance (n, n) after all candidates of all options, none of them lost."""
     information = symmetric_inverse(start)
+    n = len(start)
     for option in options:
         blocks = option.candidates.blocks
-        every = np.ones(len(option.candidates))
-        information = information + profiled_information(
-            blocks, every, len(information)
-        )
+        rows = blocks.reshape(-1, blocks.shape[2])
+        information = information + profile((rows.T @ rows)[None], n, n).machine[0]
     return symmetric_inverse(information)
 
 
@@ -282,6 +271,11 @@ class PlanProblem:
     streams: PlanStreams
     memory: StageMemory = dataclasses.field(default_factory=StageMemory)
 
+    @cached_property
+    def information(self) -> Array:
+        """Information (n, n) about the machine before."""
+        return symmetric_inverse(self.start)
+
     def empty_plan(self) -> StagePlan:
         """The plan that measures nothing."""
         accuracy = self.goal.accuracy(self.start)
@@ -299,7 +293,7 @@ class PlanProblem:
 
     def capture_probability(self, option: Option, prior: Prior) -> Array:
         """Probability (C,) that each candidate is captured, on the same machines."""
-        return travel.capture_probability(option, prior, self.streams.capture())
+        return travel.capture_probability(option, prior, capture_stream())
 
     def first_look(
         self,
@@ -334,12 +328,13 @@ class PlanProblem:
         verifies: bool = False,
     ) -> PlanStage:
         """The stage after `plan`, once for equal readings; more if it `verifies`."""
-        draws, stream = MACHINE_DRAWS, self.streams.refinement
+        draws, seed = MACHINE_DRAWS, REFINEMENT_SEED
         if verifies:
-            draws, stream = VERIFICATION_DRAWS, self.streams.verification
+            draws, seed = VERIFICATION_DRAWS, VERIFICATION_SEED
         stage = self.memory.recall(plan, option, chosen, draws)
         if stage is None:
-            rng, prior = stream(len(plan.stages)), plan.posterior(self.start)
+            rng = np.random.default_rng([seed, len(plan.stages)])
+            prior = plan.posterior(self.start)
             stage = predict_stage(option, chosen, prior, probability, rng, draws=draws)
             self.memory.store(plan, stage, draws)
         return stage

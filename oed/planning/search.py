@@ -16,7 +16,6 @@ their time.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from oed.base import Array, Index
 from oed.linear_algebra import symmetric_inverse
 from oed.measurement import Measurement
 from oed.planning.bound import GoalBound, bound_goal
-from oed.planning.goal import Goal, ToolErrors, workspace_goal
+from oed.planning.goal import Goal, ToolEffects, workspace_goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
 from oed.planning.prediction import PlanStage
@@ -369,31 +368,19 @@ class PlanSearchResult:
 
 
 def search_plan(
-    options: Sequence[Option],
-    goal: Goal,
-    budget: float,
-    streams: PlanStreams,
+    problem: PlanProblem,
     *,
-    covariance: Array | None = None,
-    stages: int = 4,
     beam: int | None = None,
     loss: float = 0.05,
     progress: Progress | None = None,
-    memory: StageMemory | None = None,
 ) -> PlanSearchResult:
-    """Search for the best sequence of at most `stages` stages within `budget` seconds.
+    """Search for the best sequence of stages within the problem's time.
 
-    covariance  (n, n) of the machine before, in units of the tolerances; by default
-                the tolerances themselves
-    loss        share of the value within which the best plan is to be certified
-    memory      stages that searches with the same covariance and streams predicted
+    loss  share of the value within which the best plan is to be certified
 
     Raises ValueError where the budget pays for no option.
     """
-    start = np.eye(goal.parameters) if covariance is None else covariance
-    problem = PlanProblem(
-        tuple(options), goal, budget, stages, start, streams, memory or StageMemory()
-    )
+    goal = problem.goal
     partial = beam_search(
         problem, beam or BEAM_SIZE, _scaled(progress, 0.0, BEAM_SHARE)
     )
@@ -401,16 +388,7 @@ def search_plan(
         raise ValueError(_too_short(problem))
     refined = _refine(problem, partial, _scaled(progress, BEAM_SHARE, 1.0))
     value = min(plan.value for plan in refined)
-    bound = bound_goal(
-        options,
-        goal,
-        symmetric_inverse(start),
-        budget,
-        stages,
-        value,
-        streams.bound,
-        loss=loss,
-    )
+    bound = bound_goal(problem, value, loss)
     for counts in bound.promising:
         plan = plan_from_counts(problem, counts)
         if plan is not None:
@@ -503,18 +481,6 @@ def _next_gain(problem: PlanProblem, best: StagePlan) -> tuple[str, float] | Non
     return max(gains, key=lambda gain: gain[1], default=None)
 
 
-class ToolEffects(Protocol):
-    """What effects beside the geometry do to the tool, as `ToolErrors` has it."""
-
-    @property
-    def tool(self) -> Array:
-        """(poses, k, u) pose errors per unit of each effect of prior variance 1, SI."""
-
-    @property
-    def others(self) -> Array:
-        """(k,) mean square by what no reading reduces, SI."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PlanningTask:
     """What to plan for one machine; its searches share the stages that they predict."""
@@ -550,10 +516,7 @@ class PlanningTask:
         return ErrorMaps.of(self.measurement.kinematics, self.command, self.reference)
 
     def _goal(self, targets: Mapping[str, float]) -> Goal:
-        tool = None
-        if self.effects is not None:
-            tool = ToolErrors(self.effects.tool, self.effects.others)
-        return workspace_goal(self.measurement, self._maps, targets, tool)
+        return workspace_goal(self.measurement, self._maps, targets, self.effects)
 
     @cached_property
     def start(self) -> Array:
@@ -578,18 +541,16 @@ class PlanningTask:
 
         Raises ValueError where the time pays for no measurement.
         """
-        return search_plan(
-            self.options if options is None else options,
+        problem = PlanProblem(
+            tuple(self.options if options is None else options),
             self.goal,
             self.budget if budget is None else budget,
+            self.stages if stages is None else stages,
+            self.start,
             PlanStreams.seeded(self.seed),
-            covariance=self.start,
-            stages=self.stages if stages is None else stages,
-            beam=beam,
-            loss=loss,
-            progress=progress,
-            memory=self.memory,
+            self.memory,
         )
+        return search_plan(problem, beam=beam, loss=loss, progress=progress)
 
     def stage_generator(self, stage: int) -> np.random.Generator:
         """Random numbers about one stage of a plan, counted from 0.
@@ -600,9 +561,7 @@ class PlanningTask:
 
     def predict(self, readings: Sequence[tuple[Option, Index]]) -> StagePlan:
         """A plan of some candidates of each option, one option after the other."""
-        streams = PlanStreams.seeded(self.seed)
-        generator = self.stage_generator
-        return predict_plan(readings, self.goal, self.start, streams, generator)
+        return predict_plan(readings, self.goal, self.start, self.stage_generator)
 
     def realise(
         self,

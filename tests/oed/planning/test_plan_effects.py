@@ -1,6 +1,7 @@
 """Plans that allow for effects: stages against a dense Bayesian update, and the words."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from oed.design import Nuisances
 from oed.measurement import Series
 from oed.planning import (
     Option,
+    PlanProblem,
     PlanStreams,
-    ToolErrors,
     build_option,
     search_plan,
     workspace_goal,
@@ -89,9 +90,13 @@ def test_the_bound_holds_over_all_plans():
     rng = np.random.default_rng(4)
     tool = 15e-6 * rng.standard_normal((3, len(maps.names), EFFECTS))
     rest = np.full(len(maps.names), 1e-12)
-    goal = workspace_goal(measurement, maps, {}, ToolErrors(tool, rest))
+    goal = workspace_goal(
+        measurement, maps, {}, SimpleNamespace(tool=tool, others=rest)
+    )
     budget = 60.0 + 6 * 10.0
-    found = search_plan([option], goal, budget, PlanStreams.seeded([1]), stages=1)
+    streams, start = PlanStreams.seeded([1]), np.eye(goal.parameters)
+    problem = PlanProblem((option,), goal, budget, 1, start, streams)
+    found = search_plan(problem)
     assert found.best.value >= found.bound.value * (1.0 - 1e-9)
     for _ in range(200):
         chosen = rng.choice(12, size=6, replace=False)

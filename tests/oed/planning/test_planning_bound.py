@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kernel import plan_catalogues as catalogues
+from oed.planning import PlanProblem, PlanStreams
 from oed.planning import bound as bound_module
 from oed.planning import prediction as stage_module
 from oed.planning.bound import bound_goal
@@ -13,8 +14,9 @@ from oed.planning.knowledge import Prior, make_knowledge
 
 
 def bound_of(options, goal, budget, value, stages=3):
-    rng = np.random.default_rng(19)
-    return bound_goal(options, goal, np.eye(3), budget, stages, value, rng)
+    streams, start = PlanStreams.seeded(0), np.eye(3)
+    problem = PlanProblem(tuple(options), goal, budget, stages, start, streams)
+    return bound_goal(problem, value)
 
 
 def test_no_plan_of_many_catalogues_is_below_the_bound():

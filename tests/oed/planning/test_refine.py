@@ -7,7 +7,7 @@ import pytest
 
 from kernel import plan_catalogues as catalogues
 from oed.planning import search
-from oed.planning.problem import PlanProblem
+from oed.planning.problem import PlanProblem, PlanStreams
 
 N, SIZE = 3, 5
 
@@ -19,7 +19,7 @@ def problem(seed, budget=1500.0, target=None):
     )
     if target is not None:
         goal = dataclasses.replace(goal, factors=goal.factors / target)
-    streams = catalogues.streams(0)
+    streams = PlanStreams.seeded(0)
     return PlanProblem(tuple(options), goal, budget, 2, np.eye(N), streams)
 
 

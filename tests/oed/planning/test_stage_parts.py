@@ -29,7 +29,7 @@ def catalogue(seed: int = 0) -> tuple[list[Option], Goal]:
 
 def problem(seed: int = 0, budget: float = 2000.0, stages: int = 2) -> PlanProblem:
     options, goal = catalogue(seed)
-    streams = catalogues.streams(0)
+    streams = PlanStreams.seeded(0)
     return PlanProblem(tuple(options), goal, budget, stages, np.eye(N), streams)
 
 
@@ -137,7 +137,7 @@ def test_linear_readings_have_no_residual(rng):
 def test_no_combination_is_above_its_bound():
     """All sets of readings of one or two options that the budget pays for."""
     p = problem(seed=4, budget=1500.0)
-    combined = CombinationBound.of(p.options, p.goal, np.eye(N), p.budget)
+    combined = CombinationBound.of(p)
     pairs = np.array([[0, 1], [0, 2], [1, 2]])
     weights: dict[int, np.ndarray] = {}
     for pair in pairs:
@@ -156,14 +156,8 @@ def test_no_combination_is_above_its_bound():
 
 def test_streams_that_begin_anew_give_the_same_plan():
     """However far the generators of an earlier search went."""
+    first, again = (search_plan(problem(2, 1500.0)) for _ in range(2))
     options, goal = catalogue(2)
-
-    def streams() -> PlanStreams:
-        return catalogues.streams(3)
-
-    first, again = (
-        search_plan(options, goal, 1500.0, streams(), stages=2) for _ in range(2)
-    )
     assert first.best.names == again.best.names
     assert first.best.value == again.best.value
     value, time = catalogues.every_plan(options, goal, 2)
