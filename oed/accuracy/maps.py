@@ -175,7 +175,8 @@ def _remove_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
     n = len(twist)
     rigid = np.zeros((n, 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
-    rigid[:, :3, 3:] = -_cross_matrices(point - point.mean(axis=0))
+    # turns about the base axes shift a point by their cross products with its lever
+    rigid[:, :3, 3:] = np.cross((point - point.mean(axis=0))[:, None], np.eye(3))
     weight = np.ones((6, 1))
     weight[3:] = lever if twist[:, 3:].any() else 0.0
     design = (rigid * weight).reshape(6 * n, 6)
@@ -183,15 +184,6 @@ def _remove_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
     motion = np.linalg.lstsq(design, data, rcond=None)[0]
     fit = rigid.reshape(6 * n, 6) @ motion
     return twist - fit.reshape(twist.shape)
-
-
-def _cross_matrices(vectors: Array) -> Array:
-    """Matrices (n, 3, 3) of the cross products with vectors (n, 3)."""
-    x, y, z = vectors.T
-    matrices = np.zeros((len(vectors), 3, 3))
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
 
 
 def components_against(

@@ -308,8 +308,9 @@ def _rows(
             if column is not None:
                 row[column.name] = cell(value, column.unit)
         if layout.implied and np.isnan(values[i]).all():
-            row = _joint_cells(layout) | row
-            yield row
+            # the joints are recorded where a constraint holds
+            names = [ReadingsColumn.of(c.name, c.unit).name for c in layout.joints]
+            yield dict.fromkeys(names, "") | row
             continue
         for k, channel in enumerate(layout.channels):
             row[ReadingsColumn.of(channel.name, channel.unit).name] = cell(
@@ -319,11 +320,6 @@ def _rows(
                 name = ReadingsColumn.of(f"{SIGMA}{channel.name}", channel.unit).name
                 row[name] = cell(series.sigma[i, k], channel.unit)
         yield row
-
-
-def _joint_cells(layout: ColumnLayout) -> dict[str, str]:
-    """Empty cells for the joints, which are recorded where a constraint holds."""
-    return {ReadingsColumn.of(c.name, c.unit).name: "" for c in layout.joints}
 
 
 def _labels(setup: str, run: str, order: int) -> dict[str, str]:

@@ -11,7 +11,7 @@ import itertools
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -37,68 +37,60 @@ ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 MIN_COVARIATES: Final = {"time": 0, "feed": 0, "repeat": 1}
 #: least and largest standard deviation of a reading, SI
 SIGMA_RANGE: Final = (1e-12, 1e3)
+SIGMA_PROBLEM: Final = "no reading has such a standard deviation"
+SIGMA_REMEDY: Final = (
+    "give a number above 0 in the column's unit, or leave the cell empty: then that of"
+    " [noise] holds"
+)
 MAX_ORDER: Final = 1e15  #: orders stay below this
+
+
+class Rule(NamedTuple):
+    """What rows of a column break, and what to do about it."""
+
+    stem: str
+    broken: Mask  #: (n,) rows
+    problem: str
+    remedy: str
 
 
 def check_rows(table: ReadingsFile) -> None:
     """Raises ReadingsError for the first row that contradicts itself."""
+    for stem, broken, problem, remedy in _rules(table):
+        rows = np.flatnonzero(broken)
+        if rows.size:
+            raise table.error(problem, remedy, int(rows[0]), stem)
+
+
+def _rules(table: ReadingsFile) -> Iterator[Rule]:
+    """Of labels, orders, directions, covariates and standard deviations, in turn."""
+    frame = table.frame
     for stem in LABELS:
-        empty = (table.frame[stem] == "").to_numpy()
-        remedy = f"name the {stem} of every row"
-        _refuse_first(table, empty, "the cell is empty", remedy, stem)
-    order = table.frame["order"].to_numpy()
+        empty = (frame[stem] == "").to_numpy()
+        yield Rule(stem, empty, "the cell is empty", f"name the {stem} of every row")
+    order = frame["order"].to_numpy()
     whole = (order >= 0) & (order < MAX_ORDER) & (order == np.round(order))
-    _refuse_first(
-        table, ~whole, "order is no whole number from 0 on", ORDER_REMEDY, "order"
-    )
-    _check_direction(table)
-    _check_not_negative(table)
-    _check_sigma(table)
-
-
-def _check_direction(table: ReadingsFile) -> None:
-    if "direction" not in table.frame:
-        return
-    direction = table.frame["direction"].to_numpy()
-    is_valid = np.isnan(direction) | (np.abs(direction) == 1.0)
-    remedy = "write 1 or -1, or leave it empty"
-    _refuse_first(table, ~is_valid, "direction is +1 or -1", remedy, "direction")
-
-
-def _check_not_negative(table: ReadingsFile) -> None:
-    """Times count from the session's start, feeds are speeds, cables do not push."""
+    problem = "order is no whole number from 0 on"
+    yield Rule("order", ~whole, problem, ORDER_REMEDY)
+    if "direction" in frame:
+        direction = frame["direction"].to_numpy()
+        wrong = np.isfinite(direction) & (np.abs(direction) != 1.0)
+        remedy = "write 1 or -1, or leave it empty"
+        yield Rule("direction", wrong, "direction is +1 or -1", remedy)
+    # times count from the session's start, feeds are speeds, cables do not push
     least_values = dict(MIN_COVARIATES)
     least_values |= {s: 0 for s in table.columns if s.startswith(TENSION)}
     for stem, least in least_values.items():
-        if stem in table.frame:
-            below = table.frame[stem].to_numpy() < least
+        if stem in frame:
+            below = frame[stem].to_numpy() < least
             remedy = "correct it, or leave the cell empty where it is unknown"
-            problem = f"{stem} is at least {least}"
-            _refuse_first(table, below, problem, remedy, stem)
-
-
-def _check_sigma(table: ReadingsFile) -> None:
-    """Standard deviations of readings are above 0, and of a size that readings have."""
-    least, most = SIGMA_RANGE
+            yield Rule(stem, below, f"{stem} is at least {least}", remedy)
+    smallest, most = SIGMA_RANGE
     for stem in table.columns:
         if stem.startswith(SIGMA):
-            values = table.frame[stem].to_numpy(dtype=float)
-            bad = np.isfinite(values) & ~((values >= least) & (values <= most))
-            problem = "no reading has such a standard deviation"
-            remedy = (
-                "give a number above 0 in the column's unit, or leave the cell empty: then"
-                " that of [noise] holds"
-            )
-            _refuse_first(table, bad, problem, remedy, stem)
-
-
-def _refuse_first(
-    table: ReadingsFile, bad: Mask, problem: str, remedy: str, stem: str
-) -> None:
-    """Raise ReadingsError for the first bad row, if there is one."""
-    rows = np.flatnonzero(bad)
-    if rows.size:
-        raise table.error(problem, remedy, int(rows[0]), stem)
+            values = frame[stem].to_numpy(dtype=float)
+            bad = np.isfinite(values) & ~((values >= smallest) & (values <= most))
+            yield Rule(stem, bad, SIGMA_PROBLEM, SIGMA_REMEDY)
 
 
 # Cells of a table in columns, from rows of text, converted block by block.
@@ -168,26 +160,18 @@ def numbers_of(
     parsed = pd.to_numeric(cells, errors="coerce")
     values = parsed.to_numpy(dtype=float, na_value=np.nan)
     filled = (cells != "").to_numpy()
-    bad = np.flatnonzero(filled & ~np.isfinite(values))
-    if bad.size:
-        k = int(bad[0])
+    problem = "not a finite number"
+    bad = filled & ~np.isfinite(values)
+    if not bad.any():
+        problem = "no number of a session is so large"
+        bad = filled & (np.abs(values) > MAX_NUMBER)
+    for k in np.flatnonzero(bad)[:1]:
         if "," in text[k] and "." in text[k]:
             remedy = "write one decimal sign, and no sign between thousands"
         elif "," in text[k]:
             remedy = "write decimals with a point"
         raise ReadingsError(
-            "not a finite number",
-            remedy,
-            file=file,
-            row=int(rows[k]),
-            column=column.name,
-            value=text[k],
-        )
-    huge = np.flatnonzero(filled & (np.abs(values) > MAX_NUMBER))
-    if huge.size:
-        k = int(huge[0])
-        raise ReadingsError(
-            "no number of a session is so large",
+            problem,
             remedy,
             file=file,
             row=int(rows[k]),

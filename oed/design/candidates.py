@@ -58,11 +58,6 @@ class Nuisances:
         return np.asarray(sigma / np.hypot(sigma, self.scatter))
 
 
-def no_nuisances(numbers: int) -> Nuisances:
-    """Of readings that nothing but parameters and noise changes."""
-    return Nuisances(np.zeros((numbers, 0)), np.zeros(numbers))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Candidates:
     """Candidates of a plan."""
@@ -106,7 +101,9 @@ class Candidates:
         if nuisances is not None and scaling != "tolerance":
             raise ValueError('effects beside the geometry need scaling = "tolerance"')
         numbers = [len(s) * len(measurement.setups[s.setup].sigma) for s in series]
-        every = no_nuisances(sum(numbers)) if nuisances is None else nuisances
+        count = sum(numbers)
+        nothing = Nuisances(np.zeros((count, 0)), np.zeros(count))
+        every = nothing if nuisances is None else nuisances
         ends = np.cumsum(numbers)
         parts = [
             _series_blocks(

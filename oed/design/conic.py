@@ -85,8 +85,10 @@ class ConicCriterion:
         if isinstance(criterion, ExtremeEigenvalues) and criterion.concave:
             low = unit ** (1.0 / criterion.least)
             return [m >> self.y * (low * self.turn @ self.turn.T)]
-        if isinstance(criterion, PowerMean) and _has_cone(criterion.p):
-            return self._power_mean(criterion.p, m, np.sqrt(unit) * self.turn)
+        if isinstance(criterion, PowerMean):
+            p = criterion.p
+            if p == 0.5 or float(np.log2(p)).is_integer():
+                return self._power_mean(p, m, np.sqrt(unit) * self.turn)
         raise ValueError(
             f"{criterion.name} has no conic form here (phi_p: p = 1/2, 1, 2, 4, 8, ...)"
         )
@@ -137,10 +139,6 @@ class ConicCriterion:
             mean = Variance((self.criterion.factors * roots).reshape(-1, len(m)))
             return mean.support(m)
         return self.criterion.support(m)
-
-
-def _has_cone(p: float) -> bool:
-    return p == 0.5 or float(np.log2(p)).is_integer()
 
 
 def _schur(corner: Any, side: Any, other: Any) -> Any:

@@ -33,7 +33,13 @@ from oed.design.forms import Criterion
 from oed.design.how_many import AccuracyGoal, SizeCurve
 from oed.design.objective import CriterionObjective
 from oed.design.relaxation import Relaxation, relax_objective
-from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules, SetupLimit
+from oed.design.rules import (
+    MAX_COMBINATIONS,
+    RelaxedRules,
+    Rules,
+    SetupLimit,
+    number_of_combinations,
+)
 from oed.result import RobustSummary
 
 RANKING_TOLERANCE = 1e-2  #: duality gap in log phi at which combinations are compared
@@ -172,16 +178,13 @@ def choose_by_weights(
     criterion: Criterion | str = "D",
     prior: Array | None = None,
     solver: Solver = "built_in",
-    tolerance: float = 1e-6,
 ) -> Weights:
     """Weights of rows (C, n) or blocks (C, k, n), and a plan of `size` readings.
-
-    tolerance  singular values above this share of the largest count as estimable
 
     Raises ValueError where the plan leaves undetermined what the criterion needs.
     """
     rules = Rules(size=size)
-    problem = pose(rows, rules, criterion, prior, tolerance)
+    problem = pose(rows, rules, criterion, prior)
     objective, goal = problem.objective, problem.objective.criterion
     optimum = _optimum(objective, rules, size, solver)
     heaviest = np.argsort(-optimum.weights, kind="stable")[:size]
@@ -256,11 +259,10 @@ class DesignProblem:
     @property
     def bound_ignores_setups(self) -> bool:
         """Whether the bound allows any number of set-ups: too many combinations."""
-        count = len(self.new_setups)
         most = self.setups.most
         if most is None:
             return False
-        return sum(math.comb(count, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
+        return number_of_combinations(len(self.new_setups), most) > MAX_COMBINATIONS
 
     def columns(self, setup_indices: Index) -> Array:
         """Identity columns (n, r) of the machine's parameters and of some set-ups'."""

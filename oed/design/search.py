@@ -147,12 +147,6 @@ class _Exchange:
         """Whether all pairs are exchanged at once, instead of one candidate in turn."""
         return self.rules.sole_size is not None and self.evaluator.pair_pool > 0
 
-    def improve_by_levels(self, chosen: Index) -> Index:
-        """Exchanges until none helps, level by level."""
-        for level in range(self.evaluator.levels):
-            chosen = self.sweep_until_stable(chosen, level)
-        return chosen
-
     def sweep_until_stable(
         self, chosen: Index, level: int, sweeps: int = MAX_SWEEPS
     ) -> Index:
@@ -229,7 +223,9 @@ class _Restarts:
                 start = self._draw(weights)
             else:
                 start = self._change(best)
-            chosen = self.exchange.improve_by_levels(start)
+            chosen = start
+            for level in range(self.exchange.evaluator.levels):
+                chosen = self.exchange.sweep_until_stable(chosen, level)
             value = _value(self.exchange.evaluator, self.rules, chosen)
             if value > best_value or not best.size:
                 best, best_value = chosen, value
@@ -258,7 +254,11 @@ class _Restarts:
         number = int(self.rng.integers(min(2, most), most + 1))
         places = self.rng.choice(len(chosen), size=number, replace=False)
         setups = self.rules.setups
-        if setups is not None and self._replaces_setup():
+        if (
+            setups is not None
+            and self.rules.sole_size is None
+            and self.rng.random() < SETUP_PROBABILITY
+        ):
             setup = setups.setup[chosen]
             places = np.flatnonzero(setup == self.rng.choice(setup))
         remaining = np.delete(chosen, places)
@@ -268,12 +268,6 @@ class _Restarts:
         before = np.zeros(self.count)
         before[chosen] = 1.0
         return self._fill_in_order(remaining, np.append(others, removed), before)
-
-    def _replaces_setup(self) -> bool:
-        """Whether a change replaces a whole set-up, by chance."""
-        if self.rules.sole_size is not None:
-            return False
-        return bool(self.rng.random() < SETUP_PROBABILITY)
 
     def _fill_in_order(self, chosen: Index, order: Index, weights: Array) -> Index:
         """A plan filled in the given order while the rules allow, by weights (C,)."""

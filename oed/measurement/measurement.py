@@ -84,12 +84,14 @@ class Measurement(ParameterVector):
         """
         mounted = self.setups[setup]
         command = np.atleast_2d(np.asarray(command, dtype=float))
-        labels = _run_labels(run, len(command))
         if mounted.teach is not None:
             command = np.vstack([command, np.array(mounted.teach)[None]])
-        x, q = self._sent(command, controller, np.array(mounted.tool))
-        index, labels = mounted.instrument.index_poses(labels)
-        return Series(setup, q, x, command, index, labels)
+        tool = np.array(mounted.tool)
+        if controller is None:
+            x, q = self.kinematics.sent(command, tool)
+        else:
+            x, q = self.kinematics.inverse(command, controller, tool)
+        return self._at_poses(mounted, x, q, command, run)
 
     def series_from_joints(
         self, setup: str, q: Array, run: Sequence[str] | None = None
@@ -97,24 +99,28 @@ class Measurement(ParameterVector):
         """As `series`, from recorded joints (n, nq), SI; their commands are NaN."""
         mounted = self.setups[setup]
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        labels = _run_labels(run, len(q))
         x = self.kinematics.start_poses(q)
         command = np.full((len(q), len(self.machine.command)), np.nan)
         if mounted.teach is not None:
             teach = np.array(mounted.teach)[None]
-            tool = np.array(mounted.tool)
-            teach_x, teach_q = self.kinematics.sent(teach, tool)
+            teach_x, teach_q = self.kinematics.sent(teach, np.array(mounted.tool))
             q, x = np.vstack([q, teach_q]), np.vstack([x, teach_x])
             command = np.vstack([command, teach])
-        index, labels = mounted.instrument.index_poses(labels)
-        return Series(setup, q, x, command, index, labels)
+        return self._at_poses(mounted, x, q, command, run)
 
-    def _sent(
-        self, command: Array, controller: Array | None, tool: Array
-    ) -> tuple[Array, Array]:
-        if controller is None:
-            return self.kinematics.sent(command, tool)
-        return self.kinematics.inverse(command, controller, tool)
+    def _at_poses(
+        self,
+        mounted: Setup,
+        x: Array,
+        q: Array,
+        command: Array,
+        run: Sequence[str] | None,
+    ) -> Series:
+        """Readings at poses, the teach pose last; one run by default."""
+        count = len(command) - (mounted.teach is not None)
+        labels = np.array(["1"] * count if run is None else list(run), dtype=np.str_)
+        index, labels = mounted.instrument.index_poses(labels)
+        return Series(mounted.name, q, x, command, index, labels)
 
     # -- readings ----------------------------------------------------------------------
     def readings(self, series: Sequence[Series], theta: Array) -> Array:
@@ -248,11 +254,6 @@ class Measurement(ParameterVector):
             jumps += int(np.count_nonzero(before * after < 0.0))
             count += len(start)
         return jumps, count
-
-
-def _run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:
-    """Run (count,) of each pose; `1` for all by default."""
-    return np.array(["1"] * count if run is None else list(run), dtype=np.str_)
 
 
 def _solve_coordinate(

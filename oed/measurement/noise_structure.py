@@ -27,7 +27,7 @@ def reading_structure(
 ) -> ReadingStructure:
     """Structure of readings, with the Jacobian of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
-    parts = _Parts([], [], [], [], [], [])
+    parts: list[dict[str, Array]] = []
     blocks: list[scipy.sparse.csr_array] = []
     runs = 0
     for s in series:
@@ -37,63 +37,52 @@ def reading_structure(
         groups = [names.setdefault(label, len(names)) for label in labels]
         number = {label: runs + k for k, label in enumerate(dict.fromkeys(s.run))}
         run = np.array([number[label] for label in s.run])
-        position = _places(run)
         count = len(channels)
-        parts.run.append(np.repeat(run, count))
-        parts.channel.append(np.tile(np.arange(count), len(s)))
-        parts.group.append(np.tile(groups, len(s)))
-        parts.position.append(np.repeat(position, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
-        parts.shared.append(np.tile(common, len(s)))
         stated = [c.name in setup.statement.levels for c in channels]
-        parts.stated.append(np.tile(stated, len(s)))
+        parts.append(
+            {
+                "run": np.repeat(run, count),
+                "channel": np.tile(np.arange(count), len(s)),
+                "group": np.tile(groups, len(s)),
+                "position": np.repeat(_places(run), count),
+                "shared": np.tile(common, len(s)),
+                "stated": np.tile(stated, len(s)),
+            }
+        )
         blocks.append(decoupling(measurement.of(s).reading_covariances(s)))
         runs += len(number)
-    run, channel = (
-        np.concatenate(parts.run),
-        np.concatenate(parts.channel).astype(np.intp),
-    )
+    of_reading = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+    run, channel = of_reading["run"], of_reading["channel"].astype(np.intp)
     pairs, chain = np.unique(
         np.column_stack([run, channel]), axis=0, return_inverse=True
     )
     decouple = scipy.sparse.csr_array(scipy.sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
-    errors = _run_errors(measurement, series, theta, parts, decouple)
+    errors = _RunErrors(
+        decouple=decouple,
+        channel=channel,
+        shared=of_reading["shared"],
+        stated=of_reading["stated"],
+        renewed=renewed_jacobian(measurement, series, theta) / diagonal[:, None],
+        seated=seated_jacobian(measurement, series, theta),
+    )
     columns, kinds = errors.columns()
-    group = np.concatenate(parts.group).astype(np.intp)
+    group = of_reading["group"].astype(np.intp)
     statement = common_statement(measurement, series)
     return ReadingStructure(
         names=tuple(names),
         group=group,
         chain=chain.ravel().astype(np.intp),
         run=pairs[:, 0].astype(np.intp),
-        position=np.concatenate(parts.position).astype(float),
+        position=of_reading["position"].astype(float),
         unit=1.0 / diagonal,
         decouple=None if independent else decouple,
         columns=columns,
         kinds=kinds,
         course=_course(measurement, series, group, statement),
         statement=statement,
-    )
-
-
-def _run_errors(
-    measurement: Measurement,
-    series: Sequence[Series],
-    theta: Array,
-    parts: "_Parts",
-    decouple: scipy.sparse.csr_array,
-) -> "_RunErrors":
-    """What the errors that runs share follow from."""
-    renewed = renewed_jacobian(measurement, series, theta)
-    return _RunErrors(
-        decouple=decouple,
-        channel=np.concatenate(parts.channel).astype(np.intp),
-        shared=np.concatenate(parts.shared),
-        stated=np.concatenate(parts.stated),
-        renewed=renewed / decouple.diagonal()[:, None],
-        seated=seated_jacobian(measurement, series, theta),
     )
 
 
@@ -113,18 +102,6 @@ def _course(
     pairs = zip(of_series, channels, strict=True)
     progress = np.concatenate([np.repeat(part, n) for part, n in pairs])
     return course_terms(group, progress)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Parts:
-    """Arrays of each series, readings one after the other."""
-
-    run: list[Array]
-    channel: list[Array]
-    group: list[Array]
-    position: list[Array]
-    shared: list[Array]
-    stated: list[Array]
 
 
 def common_statement(

@@ -105,19 +105,6 @@ class Response:
     nuisances: Array
 
 
-@dataclasses.dataclass(frozen=True)
-class _Solution:
-    """Arguments of a forward solution, copied, and the poses."""
-
-    arguments: tuple[Array, ...]
-    x: Array
-
-    def is_of(self, arguments: tuple[Array, ...]) -> bool:
-        """Whether the poses are those of equal arguments."""
-        pairs = zip(self.arguments, arguments, strict=True)
-        return all(np.array_equal(stored, argument) for stored, argument in pairs)
-
-
 class SetupReadings:
     """One set-up's readings.
 
@@ -131,8 +118,9 @@ class SetupReadings:
         self.setup = setup
         self._kinematics, self._unknowns = kinematics, unknowns
         self._count = len(kinematics.machine.parameters)
-        # a fit needs Jacobians where it has just computed the readings
-        self._last: _Solution | None = None
+        # a fit needs Jacobians where it has just computed the readings: the arguments of
+        # a forward solution, copied, and the poses
+        self._last: tuple[list[Array], Array] | None = None
 
     @functools.cached_property
     def model(self) -> ObservationModel:
@@ -160,8 +148,10 @@ class SetupReadings:
     def _poses_once(self, series: Series, p: Array, *, strict: bool) -> Array:
         """Poses (m, poses, nx) at one vector (1, np), or one a machine; solved once."""
         arguments = (series.q, p, series.start)
-        if self._last is not None and self._last.is_of(arguments):
-            return self._last.x
+        if self._last is not None:
+            stored, poses = self._last
+            if all(map(np.array_equal, stored, arguments)):
+                return poses
         if strict:
             x = self._kinematics.forward(*arguments)
         else:
@@ -169,7 +159,7 @@ class SetupReadings:
             if failed.any():
                 return np.where(failed[..., None], np.nan, x)
         x.flags.writeable = False
-        self._last = _Solution(tuple(argument.copy() for argument in arguments), x)
+        self._last = [argument.copy() for argument in arguments], x
         return x
 
     def read(self, series: Series, x: Array, theta: Array) -> Array:

@@ -235,19 +235,13 @@ def select_readings(
     starts = []
     if np.ptp(time) > 0.0:  # of equal readings the number limits the time
         rules = Rules.build(size=count, seconds=time, budget=seconds)
-        starts.append(_shortest(time, count, seconds))
+        shortest = np.argsort(time, kind="stable")[:count]
+        starts.append(shortest[np.cumsum(time[shortest]) <= seconds])
     best = rules.quick_plan(blocks, criterion, base, starts, sweeps)
     if not len(best):
         order = np.argsort(option.candidate_seconds, kind="stable")
         return np.sort(order[:count])
     return np.sort(pool[best])
-
-
-def _shortest(time: Array, count: int, seconds: float) -> Index:
-    """The shortest candidates, at most `count`, within `seconds`."""
-    order = np.argsort(time, kind="stable")[:count]
-    in_time = np.cumsum(time[order]) <= seconds
-    return np.asarray(order[in_time], dtype=np.intp)
 
 
 VERIFICATION_DRAWS = 1000  #: machines drawn to judge a finished plan

@@ -199,17 +199,13 @@ def _ordered(problem: PlanProblem, steps: Sequence[Step]) -> list[Step]:
     ordered: list[Step] = []
     prior: Prior = problem.start
     while remaining:
-        probability = [_mean_probability(problem, o, prior) for o, _ in remaining]
+        probability = [
+            problem.capture_probability(option, prior).mean() for option, _ in remaining
+        ]
         best = int(np.argmax(np.round(probability, 3)))
         ordered.append(remaining.pop(best))
         prior = evaluate_steps(problem, ordered).posterior(problem.start)
     return ordered
-
-
-def _mean_probability(problem: PlanProblem, option: Option, prior: Prior) -> float:
-    """Mean probability that a candidate of the option is captured."""
-    probability: Array = problem.capture_probability(option, prior)
-    return float(probability.mean())
 
 
 # -- moves -----------------------------------------------------------------------------
@@ -232,8 +228,10 @@ def propose_moves(steps: list[Step], budget: float) -> list[list[Step]]:
     count = range(len(steps))
     trials = [fill_time(steps, budget, last) for last in count]
     for giver in count:
-        lowered = _lowered(steps, giver)
-        if lowered != steps:
+        option, readings = steps[giver]
+        fewer = max(option.counts[0], int(readings * (1 - REPLACED_SHARE)))
+        if fewer < readings:
+            lowered = replaced_step(steps, giver, fewer)
             receivers = [k for k in count if k != giver]
             trials += [fill_time(lowered, budget, giver, first) for first in receivers]
     trials += [_swapped(steps, k) for k in count[:-1]]
@@ -264,13 +262,6 @@ def replaced_step(steps: Sequence[Step], k: int, count: int) -> list[Step]:
     changed = list(steps)
     changed[k] = (steps[k][0], count)
     return changed
-
-
-def _lowered(steps: list[Step], k: int) -> list[Step]:
-    """The steps with fewer readings in step k; unchanged where it has the fewest."""
-    option, count = steps[k]
-    fewer = max(option.counts[0], int(count * (1 - REPLACED_SHARE)))
-    return replaced_step(steps, k, min(fewer, count))
 
 
 def _swapped(steps: list[Step], k: int) -> list[Step]:

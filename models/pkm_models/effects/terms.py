@@ -63,17 +63,12 @@ def travel(machine: Machine) -> Travel:
     definition = (machine.closure, machine.target, machine.guess, machine.struts)
     workspace = [(c.lower, c.upper) for c in machine.workspace()]
     numbers = (machine.nominal, machine.home_command, np.array(workspace))
-    return _remembered(
-        _Key(machine, definition, b"".join(n.tobytes() for n in numbers))
-    )
+    return _travel(_Key(machine, definition, b"".join(n.tobytes() for n in numbers)))
 
 
 @functools.lru_cache(maxsize=CACHE_SIZE)
-def _remembered(key: _Key) -> Travel:
-    return _travel(key.machine)
-
-
-def _travel(machine: Machine) -> Travel:
+def _travel(key: _Key) -> Travel:
+    machine = key.machine
     kinematics = Kinematics(machine)
     p = machine.nominal
     levels = 5 if len(machine.command) <= 3 else 3

@@ -31,10 +31,6 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return registration.coordinates_in_frame(s, frames[0].point)
 
 
-def _base_rotation(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return list(ca.vertsplit(frames[0].point))
-
-
 instrument = Instrument(
     name="camera",
     source=SOURCE,
@@ -54,5 +50,5 @@ known_frame = dataclasses.replace(
         1.0e-3, about="{} of the tool point in the base frame"
     ),
     nuisances=(),
-    observe=_base_rotation,
+    observe=lambda frames, s, k: list(ca.vertsplit(frames[0].point)),
 )

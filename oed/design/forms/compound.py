@@ -87,9 +87,9 @@ class Compound(Criterion):
         levels = max(map(len, sequences))
         approach = []
         for level in range(levels - 1):
-            parts = tuple(
-                _level_member(sequence, level, levels) for sequence in sequences
-            )
+            # of a shorter continuation, the member that goes with a level of the longest
+            shares = [(s, min(level * len(s) // levels, len(s) - 1)) for s in sequences]
+            parts = tuple(sequence[k] for sequence, k in shares)
             approach.append(dataclasses.replace(self, parts=parts))
         return (*approach, self)
 
@@ -112,8 +112,3 @@ def compound(parts: Mapping[Criterion, float]) -> Criterion:
     """A mean of criteria by their shares, which need not sum to 1."""
     total = sum(parts.values())
     return Compound(tuple(parts), tuple(s / total for s in parts.values()))
-
-
-def _level_member(sequence: Sequence[Criterion], level: int, levels: int) -> Criterion:
-    """The member of a shorter continuation that goes with a level of a longer one."""
-    return sequence[min(level * len(sequence) // levels, len(sequence) - 1)]

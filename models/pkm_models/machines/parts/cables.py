@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Orientation
-from oed.model import Coordinate, Dimension, Expr, Parameter, Start, Values
+from oed.model import Coordinate, Dimension, Expr, Start, Values
 from pkm_models.machines.parts import families
 from pkm_models.machines.parts.coordinates import (
     POSE_ORIENTATION,
@@ -101,7 +101,8 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
             "end", np.asarray(attach), sd, "end of cable", names
         )
     parameters += families.numbers("l", [0.0] * count, sd, "m", "zero of cable")
-    parameters += _scales(count)
+    about = "relative error of the drum's scale of cable"
+    parameters += families.numbers("scale", [0.0] * count, SCALE_SD, "1", about)
     turn = float(table["turn"])
     orientation = _orientation(turns)
     command = [point(n, v - reach, v + reach) for n, v in zip(names, home, strict=True)]
@@ -125,7 +126,7 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
         "parameters": tuple(parameters),
         "components": tuple(errors),
         "home": dict(zip(names, home, strict=True)) | dict.fromkeys(turns, 0.0),
-        "lever": _lever(attach, span) if body else span,
+        "lever": families.largest(attach) if body else span,
         "closure": mover.closure,
         "platform": mover.platform,
         "commanded": mover.commanded,
@@ -145,11 +146,6 @@ def _orientation(turns: Sequence[str]) -> Orientation | None:
     return Orientation.rotation(("z", "spin")) if len(turns) == 1 else POSE_ORIENTATION
 
 
-def _scales(count: int) -> list[Parameter]:
-    about = "relative error of the drum's scale of cable"
-    return families.numbers("scale", [0.0] * count, SCALE_SD, "1", about)
-
-
 def _stiffness(table: Geometry, count: int) -> tuple[float, ...]:
     """E A of each cable, N; inf where it is not known. Raises ValueError."""
     if table["stiffness"] is None:
@@ -160,11 +156,6 @@ def _stiffness(table: Geometry, count: int) -> tuple[float, ...]:
             "stiffness must have one number for each cable, or one for all"
         )
     return tuple(families.limb_rows(table["stiffness"], count).tolist())
-
-
-def _lever(attach: Any, span: float) -> float:
-    size = families.largest(attach)
-    return size if size > 0.0 else span
 
 
 class _Mover:
