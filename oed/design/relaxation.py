@@ -225,8 +225,6 @@ def _shift_to_sum(target: Array, total: float, caps: Array) -> float:
 
 
 MAX_ROUNDS = 200  #: rounds of adding candidates
-#: round after which Newton steps are given up if the bound is worse than at the start
-NEWTON_PATIENCE = 4
 #: change in log phi below which a round counts as none: the rounding of its sums
 STAGNATION_GAIN = 1e-11
 #: number of such rounds that end the method: one alone may only exchange candidates
@@ -235,10 +233,6 @@ START_SIZE = 60  #: number of candidates in the first active set, at the least
 #: the same for each direction: an optimal design mostly needs about two
 START_PER_DIRECTION = 6
 START_STEPS = 16  #: multiplicative steps before Newton steps
-#: number of multiplicative steps where Newton steps fail
-MAX_MULTIPLICATIVE_STEPS = 300
-#: duality gap in log phi that is then enough: these steps converge slowly
-MULTIPLICATIVE_GAP = 1e-2
 SAMPLE_SIZE = 20000  #: candidates beyond which the start is sought in a sample of them
 #: seed of the candidates that join the first active set whatever their weight
 SAMPLE_SEED = 20260101
@@ -380,19 +374,15 @@ def solve(
         bound = np.inf
         active = np.flatnonzero(start > 0)
         weights = scale_to_size(start[active], size, caps[active])
-    first_bound = bound
     best_value = -np.inf
     last_bound = np.inf
     stagnant = 0
-    for k in range(MAX_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         weights = newton_steps(objective, active, weights, caps[active])
         tangent = objective.tangent(active, weights)
-        bound_here = bound_by(tangent, size, common_cap)
-        bound = min(bound, bound_here)
+        bound = min(bound, bound_by(tangent, size, common_cap))
         if bound - tangent.value < tolerance:
             break
-        if k == NEWTON_PATIENCE and bound_here > first_bound + 1.0:
-            return _multiplicative_steps(objective, size, caps, tolerance)
         # a smoothed maximum has a gap of its own: stop where neither value nor bound
         # moves
         value_stalls = tangent.value - best_value < STAGNATION_GAIN
@@ -424,29 +414,6 @@ def check_caps(caps: Array, size: float, cap: Array | float) -> None:
         )
 
 
-def _multiplicative_steps(
-    objective: Objective, size: float, caps: Array, tolerance: float
-) -> Relaxation:
-    """Weights by multiplicative steps alone, for set-ups of unknowns that weights far
-    below one reading determine: Newton's model fails there.
-    """
-    count = objective.count
-    everything = np.arange(count)
-    weights = np.full(count, size / count)
-    tangent = objective.tangent(everything, weights)
-    bound = bound_by(tangent, size, caps)
-    best_weights, best_tangent = weights, tangent
-    for _ in range(1, MAX_MULTIPLICATIVE_STEPS):
-        if bound - best_tangent.value < max(tolerance, MULTIPLICATIVE_GAP):
-            break
-        weights = scale_to_size(weights * np.sqrt(tangent.gradient), size, caps)
-        tangent = objective.tangent(everything, weights)
-        bound = min(bound, bound_by(tangent, size, caps))
-        if tangent.value > best_tangent.value:
-            best_weights, best_tangent = weights, tangent
-    return Relaxation(best_weights, best_tangent.value, bound, best_tangent.gradient)
-
-
 def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index:
     """Candidates that no plan with at least this value holds at their full cap.
 
@@ -459,11 +426,8 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
     multiplier = tangent.gradient[order[last_place]]
     best = knapsack_value(tangent.gradient, size, caps) + size * tangent.rounding
     loss = np.maximum(multiplier - tangent.gradient, 0.0) * caps
-    if tangent.linear:
-        bounds = np.array([tangent.bound(best - x) for x in loss])
-    else:
-        heights = np.maximum(tangent.base_term + (best - loss), 1e-300)
-        bounds = tangent.offset + np.log(heights)
+    heights = np.maximum(tangent.base_term + (best - loss), 1e-300)
+    bounds = tangent.offset + np.log(heights)
     return np.flatnonzero(bounds + LOG_ROUNDING < value)
 
 
