@@ -5,8 +5,8 @@ import platform
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 import oed
 from oed import units
@@ -176,7 +176,7 @@ def add_earlier_sessions(
         if p.expected is not None:
             changed["expected"] = _displayed_value(p.expected, unit)
         rows.append(changed)
-    return msgspec.structs.replace(
+    return replace(
         info,
         parameters=rows,
         controller=study.machine.controller or "",

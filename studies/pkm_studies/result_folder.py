@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from oed import safe_files
 from oed.result import StudyResult
@@ -55,7 +56,7 @@ def write(
             names[name] = save(folder / name).name
     warnings = [*result.warnings, *renamed_sentences(names), *set_aside_foreign(folder)]
     warnings += [f"this file was not written: {files.refusal(e)}" for e in refused]
-    result = msgspec.structs.replace(result, written=written, warnings=warnings)
+    result = replace(result, written=written, warnings=warnings)
     write_result(folder, result)
     if refused:
         raise files.refusal(refused[0], f"; {RESULT} is written, without this file")
@@ -79,14 +80,14 @@ def add_files(
     for name, text in texts.items():
         path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
-    result = msgspec.structs.replace(result, written=written)
+    result = replace(result, written=written)
     rewrite(folder, result)
     return result
 
 
 def rewrite(folder: Path, result: StudyResult) -> None:
     """Write result.json again with present verdicts, and the reports that there are."""
-    result = msgspec.structs.replace(result, verdicts=accuracy_verdicts(result))
+    result = replace(result, verdicts=accuracy_verdicts(result))
     set_aside_foreign(folder)
     write_result(folder, result)
     html, pdf = ((folder / f"report.{kind}").is_file() for kind in ("html", "pdf"))

@@ -46,10 +46,7 @@ class FurtherPromise:
 
 @dataclasses.dataclass(frozen=True)
 class PromisedAccuracy:
-    """A promise over commands (m, n_dof), SI, and what it rests on.
-
-    further  what holds with additional axes, where the machine could use some
-    """
+    """A promise over commands (m, n_dof), SI, and what it rests on."""
 
     machine: Machine
     command: Array
@@ -57,6 +54,7 @@ class PromisedAccuracy:
     components: tuple[Component, ...]
     reference: Reference
     conditions: tuple[str, ...]
+    #: what holds with additional axes, where the machine could use some
     further: FurtherPromise | None = None
 
     @classmethod

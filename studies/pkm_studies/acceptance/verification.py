@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 from scipy import linalg, stats
@@ -95,7 +94,7 @@ def check_folder(
             "the compensated machine's joints are not known at these readings",
             "record commands within reach, not joints",
         )
-    result = msgspec.structs.replace(result, after_compensation=check.curves)
+    result = replace(result, after_compensation=check.curves)
     result_folder.rewrite(folder, result)
     return check
 
@@ -255,7 +254,7 @@ def _further_demands(
     stated = further.promise.limits_at(plan.poses, rng, miss=plan.miss)
     demands = _demands(further.components, further.promise, stated)
     return {
-        name: msgspec.structs.replace(demand, without=units.number(rms, demand.unit))
+        name: replace(demand, without=units.number(rms, demand.unit))
         for (name, demand), rms in zip(demands.items(), further.without, strict=True)
     }
 
@@ -531,14 +530,12 @@ def plan_folder(
     rng = Stream.ACCEPTANCE.rng(result.seed)
     section = plan_section(result, accuracy, rng, power=power, most=most)
     healthy = healthy_accuracy(result, planned, section.components)
-    section = msgspec.structs.replace(section, healthy=healthy)
+    section = replace(section, healthy=healthy)
     text = acceptance_form(section, machine)
     earlier_files = list(result.written.values())
     path = safe_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
     written = {**result.written, path.name: files.digest(text.encode())}
-    result = msgspec.structs.replace(
-        result, acceptance=section, verification=None, written=written
-    )
+    result = replace(result, acceptance=section, verification=None, written=written)
     result_folder.rewrite(folder, result)
     return section, path
 
@@ -558,8 +555,8 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
         )
     refuse_bad_fit(result)
     section = judge_file(result.acceptance, readings)
-    section = msgspec.structs.replace(section, healthy=result.acceptance.healthy)
-    result = msgspec.structs.replace(result, verification=section)
+    section = replace(section, healthy=result.acceptance.healthy)
+    result = replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
 

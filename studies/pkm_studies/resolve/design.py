@@ -574,27 +574,20 @@ CommandRanges = Mapping[str, Mapping[str, tuple[float, float]]]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DesignRequest:
-    """What [design] means to the kernel, in SI.
+    """What [design] means to the kernel, in SI."""
 
-    interest         names of the parameters that Ds judges
-    combination      coefficients of criterion c, by parameter
-    accuracy         wanted accuracy that scales I and G, by component; the others do
-                     not count
-    least_distance   (n_dof,) least distance of two readings along each command
-                     coordinate, 0 where there is none; None: no such rule
-    retained         readings that are part of the plan already
-    free_ranges      what polishing may move: set-up -> setting or tool coordinate ->
-                     lowest and highest value
-    quotas           numbers of readings from selections of the candidates
-    """
-
-    interest: tuple[str, ...]
-    combination: Mapping[str, float]
+    interest: tuple[str, ...]  #: names of the parameters that Ds judges
+    combination: Mapping[str, float]  #: coefficients of criterion c, by parameter
+    #: wanted accuracy that scales I and G, by component; the others do not count
     accuracy: Mapping[str, float]
+    #: (n_dof,) least distance of two readings along each command coordinate, 0 where
+    #: there is none; None: no such rule
     least_distance: Array | None
-    retained: tuple[Series, ...]
+    retained: tuple[Series, ...]  #: readings that are part of the plan already
+    #: what polishing may move: set-up -> setting or tool coordinate -> lowest and
+    #: highest value
     free_ranges: CommandRanges
-    quotas: QuotaSet | None
+    quotas: QuotaSet | None  #: numbers of readings from selections of the candidates
 
 
 def design_request(

@@ -9,8 +9,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import dataset, design, gap, units
 from oed.base import Array
@@ -128,21 +128,15 @@ ALL = "all"
 
 @dataclasses.dataclass(frozen=True)
 class ActingEffect:
-    """An effect of the virtual machine.
-
-    constants     its nonlinear constants, SI
-    size          factor of all coefficients, in prior standard deviations
-    draw          whether coefficients are drawn from the prior
-    coefficients  by name, in prior standard deviations; None: the textbook's form
-    location      its table, for errors
-    """
+    """An effect of the virtual machine."""
 
     effect: Effect
-    constants: Mapping[str, float]
-    size: float
-    draw: bool
+    constants: Mapping[str, float]  #: its nonlinear constants, SI
+    size: float  #: factor of all coefficients, in prior standard deviations
+    draw: bool  #: whether coefficients are drawn from the prior
+    #: by name, in prior standard deviations; None: the textbook's form
     coefficients: Mapping[str, float] | None
-    location: Location
+    location: Location  #: its table, for errors
 
     def unknown_coefficient(self, name: str, allowed: Sequence[str]) -> InputError:
         """The error for a coefficient that the effect does not have on this machine."""
@@ -153,18 +147,13 @@ class ActingEffect:
 
 @dataclasses.dataclass(frozen=True)
 class GapRequest:
-    """What [gap] means to the kernel.
+    """What [gap] means to the kernel."""
 
-    effects     effects that the diagnosis tries, with the sizes expected of them
-    gravity     direction of gravity in the base frame
-    acting      effects that the virtual machine has
-    conditions  how the virtual machine is read
-    """
-
+    #: effects that the diagnosis tries, with the sizes expected of them
     effects: tuple[Effect, ...]
-    gravity: tuple[float, float, float]
-    acting: tuple[ActingEffect, ...]
-    conditions: ConditionsTable
+    gravity: tuple[float, float, float]  #: direction of gravity in the base frame
+    acting: tuple[ActingEffect, ...]  #: effects that the virtual machine has
+    conditions: ConditionsTable  #: how the virtual machine is read
 
     def named_effects(
         self, names: str | Sequence[str], location: Location
@@ -474,26 +463,21 @@ PLAN = "plan"  #: `keep` with this name is the plan that [plan] makes
 
 @dataclasses.dataclass(frozen=True)
 class GapDesignRequest:
-    """What [gap.design] means to the kernel.
+    """What [gap.design] means to the kernel."""
 
-    wanted    effects to separate from each other and from the rivals
-    rivals    effects that are only rivals
-    runs      candidate runs, each under one condition; the retained ones first
-    retained  positions in `runs` of those that are part of the plan in any case
-    rules     number, budget, set-ups and times; None while it waits for the plan of
-              [plan], whose readings it retains
-    table     [gap.design] as written
-    timing    [gap.conditions] as written
-    """
-
+    #: effects to separate from each other and from the rivals
     wanted: tuple[Effect, ...]
-    rivals: tuple[Effect, ...]
+    rivals: tuple[Effect, ...]  #: effects that are only rivals
+    #: candidate runs, each under one condition; the retained ones first
     runs: tuple[Run, ...]
+    #: positions in `runs` of those that are part of the plan in any case
     retained: tuple[int, ...]
+    #: number, budget, set-ups and times; None while it waits for the plan of [plan],
+    #: whose readings it retains
     rules: Rules | None
     location: Location
-    table: GapDesignTable
-    timing: ConditionsTable
+    table: GapDesignTable  #: [gap.design] as written
+    timing: ConditionsTable  #: [gap.conditions] as written
 
     @property
     def follows_plan(self) -> bool:
@@ -636,7 +620,7 @@ class GapDesignRequest:
                 problem = "[plan] uses all its time: none remains for runs that separate effects"
                 remedy = "give budget_min, which is taken from the plan's time, or runs"
                 raise self.location.error(problem, remedy)
-            table = msgspec.structs.replace(table, budget_min=remaining / MINUTE)
+            table = replace(table, budget_min=remaining / MINUTE)
         request = dataclasses.replace(self, table=table)
         retained = request._runs(series, PLAN, table.conditions[:1], measurement)
         filled = request.filled(retained, self.runs, measurement)
@@ -668,7 +652,7 @@ def gap_design_request(
     request = GapDesignRequest(wanted, rivals, (), (), None, location, table, timing)
     if not follows_plan:
         return request.filled(*request.plan_runs(plans, measurement), measurement)
-    alone = msgspec.structs.replace(table, keep=None)
+    alone = replace(table, keep=None)
     _, runs = dataclasses.replace(request, table=alone).plan_runs(plans, measurement)
     return dataclasses.replace(request, runs=tuple(runs))
 

@@ -310,27 +310,21 @@ class ReferencePlan:
 class Circles:
     """Circles of readings in one set-up, for a map of the condition number.
 
-    circles       numbers of circles to try
-    points        numbers of points on a circle to try
-    across        column of the coordinate that spaces the circles
-    around        column of the angle that runs round each circle
-    hold          coordinate that the instrument leads, if any
     lower, upper  range of the spacing coordinate, SI
-    further       series of a reference plan that is read as well
     """
 
     title: str
     setup: str
-    circles: tuple[int, ...]
-    points: tuple[int, ...]
+    circles: tuple[int, ...]  #: numbers of circles to try
+    points: tuple[int, ...]  #: numbers of points on a circle to try
     measurement: Measurement
-    across: int
-    around: int
-    hold: str | None
+    across: int  #: column of the coordinate that spaces the circles
+    around: int  #: column of the angle that runs round each circle
+    hold: str | None  #: coordinate that the instrument leads, if any
     lower: float
     upper: float
     location: Location
-    further: tuple[Series, ...] = ()
+    further: tuple[Series, ...] = ()  #: series of a reference plan that is read as well
 
     def every_series(self) -> list[list[Series]]:
         """Readings: a list a number of circles, in it an entry a number of points.

@@ -35,26 +35,18 @@ MeasurementWith = Callable[[Iterable[str]], Measurement]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlanRequest:
-    """What [plan] requests.
+    """What [plan] requests."""
 
-    table       the table itself
-    prediction  where accuracy counts
-    options   the measurements, in the study's order
-    targets   {pose component: accuracy}, SI
-    budget    time for accuracy, s
-    compare   sequences of names of measurements to compare with the plan
-    reserved  time kept for [gap.design], s
-    effects   what effects beside the geometry do to all candidate readings and the tool;
-              None where the plan allows for none
-    """
-
-    table: PlanTable
-    prediction: PredictionRequest
-    options: tuple[Option, ...]
-    targets: Mapping[str, float]
-    budget: float
+    table: PlanTable  #: the table itself
+    prediction: PredictionRequest  #: where accuracy counts
+    options: tuple[Option, ...]  #: the measurements, in the study's order
+    targets: Mapping[str, float]  #: {pose component: accuracy}, SI
+    budget: float  #: time for accuracy, s
+    #: sequences of names of measurements to compare with the plan
     compare: tuple[tuple[str, ...], ...]
-    reserved: float = 0.0
+    reserved: float = 0.0  #: time kept for [gap.design], s
+    #: what effects beside the geometry do to all candidate readings and the tool; None
+    #: where the plan allows for none
     effects: PlannedEffects | None = None
 
     def option(self, name: str) -> Option:

@@ -35,15 +35,11 @@ FROM_THE_SESSION = ("time", "repeat")  #: covariates that place a reading in its
 
 @dataclasses.dataclass(frozen=True)
 class PredictionRequest:
-    """What [prediction] requests.
+    """What [prediction] requests."""
 
-    table    the table itself
-    command  (n, n_dof) commands at which accuracy is predicted, SI
-    states   values, SI, of covariates that the machine is used at
-    """
-
-    table: PredictionTable
-    command: Array
+    table: PredictionTable  #: the table itself
+    command: Array  #: (n, n_dof) commands at which accuracy is predicted, SI
+    #: values, SI, of covariates that the machine is used at
     states: Mapping[str, Array]
 
 

@@ -513,51 +513,43 @@ def _column(rows: csv_table.CsvTable, name: str, si: str) -> Array:
 class ResolvedStudy:
     """A study as the kernel's objects.
 
-    machine                 the model with the study's numbers and tolerances
-    setups                  every set-up of the study, by name
-    measurement             machine with the set-ups that candidates and readings use;
-                            without both, those of the reference plans, or all
-    measurement_with        the measurement with the set-ups of these names
-    candidates              one series for each [[design.candidates]], within its limits
-    refusals                candidates outside the limits, counted by reason
     design, plan            what [design] and [plan] request
     gap, gap_design         what [gap] and [gap.design] request
-    reference_plans         the plans that the study gives
-    kappa_circles           circles of each [[kappa]] map
-    true_parameters         parameters of the virtual machine, SI, by name; those not
-                            named are nominal
-    dataset                 the recorded readings, if any
-    fitted_setups           set-ups whose readings are fitted; None: all others
-    held_out_setups         set-ups whose readings are predicted, not fitted
-    identification_stages   patterns of the parameters freed in turn
-    prediction              what [prediction] requests: where accuracy is predicted
-    wanted_accuracy         rms error to reach by component, SI
-    warnings                sentences about candidates that were dropped, and readings
     """
 
     #: degrees of freedom from which on the scale of a noise is known to a third
     MIN_FREEDOM_OF_SCALE: ClassVar[int] = 4
 
     study: Study
-    machine: Machine
-    setups: Mapping[str, Setup]
+    machine: Machine  #: the model with the study's numbers and tolerances
+    setups: Mapping[str, Setup]  #: every set-up of the study, by name
+    #: machine with the set-ups that candidates and readings use; without both, those of
+    #: the reference plans, or all
     measurement: Measurement
+    #: the measurement with the set-ups of these names
     measurement_with: Callable[[Iterable[str]], Measurement]
+    #: one series for each [[design.candidates]], within its limits
     candidates: tuple[Series, ...]
-    refusals: Mapping[str, int]
+    refusals: Mapping[str, int]  #: candidates outside the limits, counted by reason
     design: DesignRequest | None
     plan: PlanRequest | None
-    reference_plans: tuple[ReferencePlan, ...]
-    kappa_circles: tuple[Circles, ...]
+    reference_plans: tuple[ReferencePlan, ...]  #: the plans that the study gives
+    kappa_circles: tuple[Circles, ...]  #: circles of each [[kappa]] map
+    #: parameters of the virtual machine, SI, by name; those not named are nominal
     true_parameters: Mapping[str, float]
-    dataset: Dataset | None
+    dataset: Dataset | None  #: the recorded readings, if any
+    #: set-ups whose readings are fitted; None: all others
     fitted_setups: tuple[str, ...] | None
+    #: set-ups whose readings are predicted, not fitted
     held_out_setups: tuple[str, ...]
+    #: patterns of the parameters freed in turn
     identification_stages: tuple[tuple[str, ...], ...]
+    #: what [prediction] requests: where accuracy is predicted
     prediction: PredictionRequest | None
-    wanted_accuracy: Mapping[str, float]
+    wanted_accuracy: Mapping[str, float]  #: rms error to reach by component, SI
     gap: GapRequest | None
     gap_design: GapDesignRequest | None
+    #: sentences about candidates that were dropped, and readings
     warnings: tuple[str, ...]
 
     @property

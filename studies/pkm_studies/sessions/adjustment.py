@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import csv_text, safe_files, units
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
@@ -55,7 +55,7 @@ def adjust_folder(
     study = result_study(result, folder, study_file, consent)
     machine = adjustable_machine(result, study, folder, wanted)
     section = _section(result, machine, wanted)
-    result = msgspec.structs.replace(result, adjustment=section)
+    result = replace(result, adjustment=section)
     earlier_files = list(result.written.values())
     written = dict(result.written)
     paths = []
@@ -64,7 +64,7 @@ def adjust_folder(
         path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
         paths.append(path)
-    result = msgspec.structs.replace(result, written=written)
+    result = replace(result, written=written)
     result_folder.rewrite(folder, result)
     if section.lines:
         from pkm_reports import write_adjustment_page

@@ -51,18 +51,15 @@ OUT_OF_REACH = 1e-9  #: share of a wanted accuracy that no reading reaches
 class Outlook:
     """What is known, and the candidates for the next reading.
 
-    pool     of the candidates, after the `taken` readings
     before   what was known before any reading;  now  what is known
-    others   (K,) mean square over the workspace that no reading can reduce, SI
-    holds_effects  whether effects beside the geometry are in all this
     """
 
-    pool: Candidates
+    pool: Candidates  #: of the candidates, after the `taken` readings
     taken: int
     before: Belief
     now: Belief
-    others: Array
-    holds_effects: bool = False
+    others: Array  #: (K,) mean square over the workspace that no reading can reduce, SI
+    holds_effects: bool = False  #: whether effects beside the geometry are in all this
 
     @property
     def blocks(self) -> Array:
@@ -517,43 +514,32 @@ GEOMETRY_SO_FAR = (
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """What a user at the machine needs to know after a reading.
-
-    readings   number taken
-    known      rms (K,) of each component over the workspace, SI, its unknown part
-    after      the same after the next reading
-    limits     wanted rms (K,), SI; NaN where none is
-    within     probability (K,) that the rms error of this machine is within what is
-               wanted; NaN where nothing is
-    follows_plan  whether the limits are what the study's plan would reach
-    more       readings that reach what is wanted, one after another; None where
-               `MAX_AHEAD` do not, or nothing is wanted
-    planned    readings of the study's plan, if it states a number
-    candidate  number of the next reading among the candidates, which is in a row of a
-               series; `expected` is what it should read, SI
-    findings   what a check of the readings says
-    outlook    all candidates, and what is known, from which the next one is chosen
-    objections  why nothing should rest on the readings so far
-    skipped    numbers of the candidates that are not advised
-    """
+    """What a user at the machine needs to know after a reading."""
 
     names: tuple[str, ...]
-    readings: int
-    known: Array
-    after: Array
-    limits: Array
+    readings: int  #: number taken
+    known: Array  #: rms (K,) of each component over the workspace, SI, its unknown part
+    after: Array  #: the same after the next reading
+    limits: Array  #: wanted rms (K,), SI; NaN where none is
+    #: probability (K,) that the rms error of this machine is within what is wanted; NaN
+    #: where nothing is
     within: Array
-    follows_plan: bool
+    follows_plan: bool  #: whether the limits are what the study's plan would reach
+    #: number of the next reading among the candidates, which is in a row of a series;
+    #: `expected` is what it should read, SI
     candidate: int
     series: Series
     row: int
     expected: Array
+    #: readings that reach what is wanted, one after another; None where `MAX_AHEAD` do
+    #: not, or nothing is wanted
     more: int | None
-    planned: int | None
+    planned: int | None  #: readings of the study's plan, if it states a number
+    #: all candidates, and what is known, from which the next one is chosen
     outlook: Outlook
-    findings: tuple[str, ...] = ()
-    objections: tuple[str, ...] = ()
-    skipped: tuple[int, ...] = ()
+    findings: tuple[str, ...] = ()  #: what a check of the readings says
+    objections: tuple[str, ...] = ()  #: why nothing should rest on the readings so far
+    skipped: tuple[int, ...] = ()  #: numbers of the candidates that are not advised
 
     def judgement(self, component: int) -> Judgement:
         """The verdict on one component's wanted accuracy."""

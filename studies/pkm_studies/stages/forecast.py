@@ -100,26 +100,19 @@ class EstimatedParameters:
 class ForecastTask:
     """What [forecast] asks for.
 
-    table                    as written
-    model                    error rows over places of the workspace
-    axes                     of the controller's table
-    candidates               (n, n_dof) nodes to choose from, SI
     expected, sigma, wanted  (k,) of the driven components, SI; NaN where none is wanted
-    setup                    that measures
-    seconds                  time to mount it, and of one reading
-    knowledge                what was identified
     """
 
-    table: ForecastTable
-    model: JointErrors
-    axes: tuple[GridAxis, ...]
-    candidates: Array
+    table: ForecastTable  #: as written
+    model: JointErrors  #: error rows over places of the workspace
+    axes: tuple[GridAxis, ...]  #: of the controller's table
+    candidates: Array  #: (n, n_dof) nodes to choose from, SI
     expected: Array
     sigma: Array
     wanted: Array
-    setup: str
-    seconds: tuple[float, float]
-    knowledge: EstimatedParameters | None
+    setup: str  #: that measures
+    seconds: tuple[float, float]  #: time to mount it, and of one reading
+    knowledge: EstimatedParameters | None  #: what was identified
 
     @property
     def kinematics(self) -> Kinematics:

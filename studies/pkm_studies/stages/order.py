@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
+from msgspec.structs import replace
 
 from oed.base import Array
 from oed.dataset import Dataset, reading_digests
@@ -219,7 +219,7 @@ def assemble_result(state: RunState) -> StudyResult:
     readings: list[str] = []
     if isinstance(state, Measured):
         readings = reading_digests(series, state.readings.y, state.measurement.setups)
-    return msgspec.structs.replace(
+    return replace(
         state.result,
         seed=state.seed,
         machine=info,

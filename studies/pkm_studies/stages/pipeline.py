@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 import oed
 from oed import csv_text, dataset, posterior, result, safe_files
@@ -384,11 +385,11 @@ def forecast_study(
     stored = load_result(out)
     knowledge = stored_knowledge(state.resolved, stored, out)
     state = forecast_errors(state, knowledge, readings)
-    result = msgspec.structs.replace(stored, forecast=state.result.forecast)
+    result = replace(stored, forecast=state.result.forecast)
     checked = check_claims(study, msgspec.to_builtins(result), FORECAST_SECTIONS)
     names = {claim.claim for claim in checked}
     others = [claim for claim in stored.claims if claim.claim not in names]
-    result = msgspec.structs.replace(result, claims=[*others, *checked])
+    result = replace(result, claims=[*others, *checked])
     return result_folder.add_files(out, result, state.forecast_files)
 
 
@@ -455,9 +456,7 @@ def _finish(
     study = state.study
     checked = check_claims(study, msgspec.to_builtins(study_result), sections)
     seconds = round(time.perf_counter() - state.started, 3)
-    study_result = msgspec.structs.replace(
-        study_result, claims=checked, seconds=seconds
-    )
+    study_result = replace(study_result, claims=checked, seconds=seconds)
     options = study.report
     study_result = write(out, study_result, state, sheet=options.pdf)
     if report and (options.html or options.pdf):

@@ -68,41 +68,32 @@ class RunState:
     """A run before its readings are known: what was asked for, and what is planned.
 
     study, seed, progress, started    what was asked for, and when
-    resolved         the study's objects
-    readings_given   whether readings came with the command
-    measurement      machine with the set-ups that are used, as planned
-    result           the result so far: sections that the steps have written
-    design           the chosen design
-    plan             the plan of stages
-    gap_poses        readings of the runs of [gap.design], as CSV
-    visit_poses      readings of a second visit, as CSV
-    forecast_files   nodes to measure, and the table of measured ones, as CSV by name
-    session_files    text of the readings files that are diagnosed, by name
-    planned          readings to write down as poses, in working order
-    with_effects     names of effects to estimate together with the parameters
-    checkpoint       where an unfinished chain of draws is saved, if anywhere
-    warnings         sentences that a user must know
-    withheld         why steps left out sections of the result, by the section's name
     """
 
     study: Study
     seed: int
     progress: Progress
     started: float
-    resolved: ResolvedStudy
-    readings_given: bool
-    measurement: Measurement
-    result: StudyResult
-    design: ChosenDesign | None = None
-    plan: PlanOutcome | None = None
-    gap_poses: str | None = None
-    visit_poses: str | None = None
+    resolved: ResolvedStudy  #: the study's objects
+    readings_given: bool  #: whether readings came with the command
+    measurement: Measurement  #: machine with the set-ups that are used, as planned
+    result: StudyResult  #: the result so far: sections that the steps have written
+    design: ChosenDesign | None = None  #: the chosen design
+    plan: PlanOutcome | None = None  #: the plan of stages
+    gap_poses: str | None = None  #: readings of the runs of [gap.design], as CSV
+    visit_poses: str | None = None  #: readings of a second visit, as CSV
+    #: nodes to measure, and the table of measured ones, as CSV by name
     forecast_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    #: text of the readings files that are diagnosed, by name
     session_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    #: readings to write down as poses, in working order
     planned: tuple[Series, ...] = ()
+    #: names of effects to estimate together with the parameters
     with_effects: tuple[str, ...] = ()
+    #: where an unfinished chain of draws is saved, if anywhere
     checkpoint: Checkpoint | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  #: sentences that a user must know
+    #: why steps left out sections of the result, by the section's name
     withheld: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def rng(self, stream: Stream) -> np.random.Generator:
@@ -142,25 +133,19 @@ class RunState:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scheduled(RunState):
-    """A run whose readings are known, planned or taken.
+    """A run whose readings are known, planned or taken."""
 
-    readings         what is fitted, held out or only planned
-    identifiability  verdict on them, where it was asked for
-    """
-
-    readings: Readings
+    readings: Readings  #: what is fitted, held out or only planned
+    #: verdict on them, where it was asked for
     identifiability: Assessment | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Measured(Scheduled):
-    """A run whose readings have values.
-
-    checked  what a check of recorded readings says
-    """
+    """A run whose readings have values."""
 
     readings: MeasuredReadings
-    checked: CheckedSession | None = None
+    checked: CheckedSession | None = None  #: what a check of recorded readings says
 
     @property
     def fit_is_bad(self) -> bool:
@@ -212,19 +197,15 @@ class Measured(Scheduled):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Fitted(Measured):
-    """A run whose readings are fitted.
+    """A run whose readings are fitted."""
 
-    estimate   identified parameters
-    posterior  draws about the estimate, where the study asks for them
-    corrected  parameters and effects, estimated together
-    diagnosis  of what the fit leaves, where there is one
-    mixture    what is known of the machine over all hypotheses of the diagnosis
-    """
-
-    estimate: Estimate
+    estimate: Estimate  #: identified parameters
+    #: draws about the estimate, where the study asks for them
     posterior: Posterior | None = None
+    #: parameters and effects, estimated together
     corrected: CorrectedEstimate | None = None
-    diagnosis: Diagnosis | None = None
+    diagnosis: Diagnosis | None = None  #: of what the fit leaves, where there is one
+    #: what is known of the machine over all hypotheses of the diagnosis
     mixture: AnswerMixture | None = None
 
     @property

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import posterior, units
 from oed.accuracy import least_error
@@ -105,7 +105,7 @@ def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> Gap
         if form.effect.name in gap.selected
     }
     return sentences.add_sentences(
-        msgspec.structs.replace(
+        replace(
             gap,
             coefficients=[*named, *others],
             constants={**gap.constants, **constants},
@@ -241,7 +241,7 @@ def add_least_error(
     machine = corrected.measurement.machine
     every = {CompensationName.BEST_WITH_EFFECTS: after, **geometry}
     sent = least_error(before, every, machine.driven)
-    section = msgspec.structs.replace(section, sent=sent)
+    section = replace(section, sent=sent)
     if least_error(before, geometry, machine.driven) == CompensationName.PLAIN:
         section = add_controller(section, machine, plain)
     return (
@@ -252,9 +252,7 @@ def add_least_error(
 def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSection:
     """The section whose effects no controller corrects, for a reason."""
     reasons = {table.effect: reason for table in section.tables}
-    return msgspec.structs.replace(
-        section, tables=[], not_tabled={**section.not_tabled, **reasons}
-    )
+    return replace(section, tables=[], not_tabled={**section.not_tabled, **reasons})
 
 
 def _predicted(
@@ -263,7 +261,7 @@ def _predicted(
     compensated, budget = accuracy.compensated, accuracy.budget
     section = accuracy_section(measurement.kinematics, compensated, "corrected", budget)
     lines = budget_section(measurement.machine, compensated, budget)
-    return msgspec.structs.replace(section, budget=lines)
+    return replace(section, budget=lines)
 
 
 def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
@@ -569,14 +567,14 @@ def _mark_turned_runs(
             f" {after:.3g} times with this undone"
         ),
     )
-    goodness = msgspec.structs.replace(
+    goodness = replace(
         state.goodness,
         findings=[sentence, *state.goodness.findings],
         mistakes=[mistake, *state.goodness.mistakes],
         bad_fit=True,
     )
     warnings = [*section.warnings, sentence]
-    section = msgspec.structs.replace(section, warnings=warnings)
+    section = replace(section, warnings=warnings)
     state = state.add_sections(corrected=section, goodness=goodness)
     return state.replace(warnings=(sentence, *state.warnings))
 
@@ -591,9 +589,7 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     if checked is not None and checked.bad_fit:
         true = resolved_sentences(section, findings)
         renamed = [true.get(finding, finding) for finding in state.goodness.findings]
-        goodness = msgspec.structs.replace(
-            state.goodness, findings=renamed, bad_fit=False
-        )
+        goodness = replace(state.goodness, findings=renamed, bad_fit=False)
         state = state.add_sections(goodness=goodness)
     # The fit without effects is not delivered: its own section keeps its warnings.
     plain = set(state.estimate_section.warnings)

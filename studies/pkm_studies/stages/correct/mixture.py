@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import units
 from oed.accuracy import BudgetModel, Reference, least_error
@@ -121,7 +121,7 @@ def mixture_section(
     else:
         belief = _knowledge(measurement, series, mixture, best, seed, use.session)
         section = _add_accuracy(section, belief, best, use, seed)
-    return msgspec.structs.replace(section, words=mixture_sentences(section))
+    return replace(section, words=mixture_sentences(section))
 
 
 def _knowledge(
@@ -208,7 +208,7 @@ def _add_accuracy(
     sections, choices = {}, []
     for name, prediction in predicted.items():
         record = accuracy_section(belief.measurement.kinematics, prediction, "mixture")
-        record = msgspec.structs.replace(record, **use.states())
+        record = replace(record, **use.states())
         sections[name] = add_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
@@ -220,7 +220,7 @@ def _add_accuracy(
     with_effects = sections.get(CompensationName.BEST_WITH_EFFECTS)
     if least_error(before, after, machine.driven) != CompensationName.BEST_WITH_EFFECTS:
         with_effects = None
-    return msgspec.structs.replace(
+    return replace(
         add_controller(section, machine, sent[shown]),
         sent=geometry,
         choices=choices,
@@ -245,7 +245,7 @@ def add_bound(gap: GapSection) -> GapSection:
         f"{GapSection.GO_AHEAD} With effects too small to show counted, the rms error that stays is at most"
         f" {join_words(bounds)} with {100.0 * BOUND_PROBABILITY:.0f} %."
     )
-    return msgspec.structs.replace(gap, next=[sentence, *gap.next[1:]])
+    return replace(gap, next=[sentence, *gap.next[1:]])
 
 
 def _free(mixture: AnswerMixture) -> Index:
@@ -395,8 +395,8 @@ def mix_answers(state: Fitted) -> Fitted:
     )
     tabled, reason = state.result.corrected, NO_HELP
     if tabled is not None and _is_too_coarse(tabled, section.with_effects):
-        section, reason = msgspec.structs.replace(section, with_effects=None), COARSE
-    gap = msgspec.structs.replace(gap, mixture=section)
+        section, reason = replace(section, with_effects=None), COARSE
+    gap = replace(gap, mixture=section)
     state = state.add_sections(gap=add_bound(gap))
     if tabled is None or section.with_effects is not None:
         return state

@@ -33,16 +33,14 @@ class _SetupOrder:
     """One set-up's readings in order.
 
     before, after   joint travel in the given order, and as ordered, s
-    seconds         until the last reading ends
-    exact           whether no order is shorter
     """
 
     series: Series
     scheduled: Series
     before: float
     after: float
-    seconds: float
-    exact: bool
+    seconds: float  #: until the last reading ends
+    exact: bool  #: whether no order is shorter
 
 
 def order_plan(

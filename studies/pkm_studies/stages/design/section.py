@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed.design import CRITERIA, Criterion
 from oed.identifiability import Assessment, Scaling, explain, prior_information
@@ -149,9 +149,7 @@ def _compared(
     grows = all(form.concave for form in _forms(judge))
     per_reading = best.n / score.n if grows and not judge.table.prior else 1.0
     gain = improvement_factors(reference, score.predicted) if reference else {}
-    return msgspec.structs.replace(
-        score, efficiency=float(np.exp(log_phi)) * per_reading, gain=gain
-    )
+    return replace(score, efficiency=float(np.exp(log_phi)) * per_reading, gain=gain)
 
 
 #: slack of the bound (log of an efficiency) from which it is worth saying
@@ -208,7 +206,7 @@ def _effects(chosen: ChosenDesign) -> AllowedEffects | None:
     if allowed is None:
         return None
     recording = select.recording(chosen.criteria, chosen.measurement, chosen.series)
-    return msgspec.structs.replace(allowed, recording=recording)
+    return replace(allowed, recording=recording)
 
 
 def shared_columns(resolved: ResolvedStudy, chosen: ChosenDesign) -> int:

@@ -6,8 +6,8 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import units
 from oed.base import Array, Index
@@ -338,7 +338,7 @@ def _fewest_sentences(
             f"{fewest.size} readings reach it; no plan of fewer than {fewest.at_least}"
             " can."
         )
-    return msgspec.structs.replace(
+    return replace(
         summary, fewest=fewest.size, at_least=fewest.at_least, most=most, words=phrase
     )
 
@@ -482,28 +482,20 @@ def _stated(candidates: Candidates, weights: Array) -> list[CandidateWeight]:
 class ChosenDesign:
     """The plan in working order, and how it was found.
 
-    measurement           with the set-ups that the plan uses, as polished
-    series                readings in working order
-    scheduled             the same with thermal reference readings in between
-    choice                chosen candidates with their certificate
-    criteria              the study's criteria
-    retained              number of readings that were part of the plan already
-    candidates            number of candidates
-    bound_ignores_setups  whether the bound allows any number of set-ups
-    compared              designs for further criteria
     polish, order, robust, how_many, relaxed, effects    summaries of these steps, where
                           they ran
     """
 
-    measurement: Measurement
-    series: tuple[Series, ...]
+    measurement: Measurement  #: with the set-ups that the plan uses, as polished
+    series: tuple[Series, ...]  #: readings in working order
+    #: the same with thermal reference readings in between
     scheduled: tuple[Series, ...]
-    choice: Choice
-    criteria: StudyCriteria
-    retained: int
-    candidates: int
-    bound_ignores_setups: bool
-    compared: tuple[CriterionComparison, ...]
+    choice: Choice  #: chosen candidates with their certificate
+    criteria: StudyCriteria  #: the study's criteria
+    retained: int  #: number of readings that were part of the plan already
+    candidates: int  #: number of candidates
+    bound_ignores_setups: bool  #: whether the bound allows any number of set-ups
+    compared: tuple[CriterionComparison, ...]  #: designs for further criteria
     polish: PolishSummary | None
     order: WorkingOrder
     robust: RobustSummary | None

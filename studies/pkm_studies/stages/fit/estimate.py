@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -121,7 +120,7 @@ def with_noise(
     assumed = posterior.prior.statement.is_assumed
     stated_as = "assumed" if assumed else "stated"
     phrase = _words(numbers, stated_as, posterior.structure.longest)
-    return msgspec.structs.replace(section, noise=records, noise_words=phrase)
+    return replace(section, noise=records, noise_words=phrase)
 
 
 def _add_assumption(
@@ -148,7 +147,7 @@ def _add_assumption(
         " intervals scale with it: measure it by probing one place several times, and"
         " give it in [noise]."
     )
-    return msgspec.structs.replace(section, findings=[*section.findings, sentence])
+    return replace(section, findings=[*section.findings, sentence])
 
 
 #: kinds that are standard deviations, and what they are
@@ -293,7 +292,7 @@ def add_controller(section: Section, machine: Machine, sent: Array) -> Section:
         estimate = section.parameters.get(parameter.name)
         if estimate is not None:
             controller[parameter.name] = units.number(float(value), estimate.unit)
-    return msgspec.structs.replace(section, controller=controller)
+    return replace(section, controller=controller)
 
 
 def estimate_section(
@@ -606,7 +605,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     if state.identifiability is not None:
         verdict = state.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
-        section = msgspec.structs.replace(section, combinations=combinations)
+        section = replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     runs = predict_runs(measurement, readings.series, estimate)
     warnings = section.warnings
@@ -615,7 +614,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         goodness = _add_assumption(goodness, state, estimate)
     if runs is not None:
         warnings, goodness = [*warnings, *runs.warnings], runs.add_to(goodness)
-    section = msgspec.structs.replace(section, runs=curves, warnings=warnings)
+    section = replace(section, runs=curves, warnings=warnings)
     fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.add_sections(estimate=section, goodness=goodness)
     return fitted.add_warnings(*warnings)
@@ -701,7 +700,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         draws,
         state.rng(Stream.PREDICTIVE),
     )
-    section = msgspec.structs.replace(section, checks=dict(checks))
+    section = replace(section, checks=dict(checks))
     state = state.replace(posterior=draws).add_sections(posterior=section)
     state = state.add_warnings(*contradictions(checks))
     return state.add_warnings(*sampling_warnings(draws, table.ess))

@@ -442,7 +442,7 @@ def _values(stated: float | Sequence[float] | None) -> list[float]:
 def add_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
     """The diagnosis with the visit, which stands first in its advice."""
     steps = [visit.words[0], *gap.next]
-    return msgspec.structs.replace(gap, second_visit=visit, next=steps)
+    return replace(gap, second_visit=visit, next=steps)
 
 
 def _record(visit: SecondVisit) -> SecondVisitRecord:
@@ -457,7 +457,7 @@ def _record(visit: SecondVisit) -> SecondVisitRecord:
         separations=list(visit.pairs),
         inseparable=list(visit.inseparable),
     )
-    return msgspec.structs.replace(record, words=second_visit_sentences(record))
+    return replace(record, words=second_visit_sentences(record))
 
 
 def _untimed(condition: Mapping[str, float]) -> dict[str, float]:

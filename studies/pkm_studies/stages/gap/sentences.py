@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-import msgspec
+from msgspec.structs import replace
 
 from oed import units
 from oed.effect_model import Effect, State
@@ -247,7 +247,7 @@ def _unknown_words(answers: Sequence[AnswerRecord]) -> list[str]:
     for answer in answers:
         if UNKNOWN in answer.effects and answer.visible >= MIN_SECOND:
             names = tuple(name for name in answer.effects if name != UNKNOWN)
-            causes = _spoken(msgspec.structs.replace(answer, effects=names))
+            causes = _spoken(replace(answer, effects=names))
             chance = chance_of(answer.visible)
             phrases.append(f"{capitalised(causes)} may act beside it{chance}.")
     return phrases
@@ -397,7 +397,7 @@ def add_sentences(gap: GapSection) -> GapSection:
         *closure_sentences(gap),
         *_untested(gap),
     ]
-    return msgspec.structs.replace(gap, words=findings, next=_next_steps(gap))
+    return replace(gap, words=findings, next=_next_steps(gap))
 
 
 def _verdict(gap: GapSection) -> list[str]:

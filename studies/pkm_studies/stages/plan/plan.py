@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import result, units
 from oed.base import Array, Index
@@ -411,7 +411,7 @@ def compute_plan(
     outcome = build_outcome(task, search, best)
     stages = add_realisations(task, best, outcome.section.stages, machines, progress)
     sequences = task.request.compare
-    section = msgspec.structs.replace(
+    section = replace(
         outcome.section,
         stages=stages,
         virtual_machines=task.table.virtual_machines,
@@ -458,7 +458,7 @@ def add_realisations(
     for record, stage in zip(records, machines.stages, strict=True):
         ratios = zip(machines.names, stage.ratio, strict=True)
         realised.append(
-            msgspec.structs.replace(
+            replace(
                 record,
                 realised={name: float(v) for name, v in ratios if np.isfinite(v)},
                 realised_lost=stage.realised_loss * (record.chosen or 0),

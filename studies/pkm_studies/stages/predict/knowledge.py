@@ -32,30 +32,26 @@ class ParameterKnowledge:
     """Knowledge of the machine's np parameters, SI.
 
     measurement, series  what is read
-    model                of the readings, for the budget
-    covariance           (np, np) of the parameters after identification
-    mean                 (np,) identified errors; None before any reading
-    draws                (m, np) draws of the posterior, or of its approximation, about
-                         the estimate; None before any reading
-    worth                number of independent draws that these are worth; None: all
-    estimated            (np, np) of the estimate, where it holds more than the model
-    effects              what acts beside the parameters; None where nothing is allowed to
-    sent                 (np,) parameters of the controller, SI; the identified ones by
-                         default
-    corrected            (k,) coefficients of the effects that the controller corrects
-                         beside them; none by default
     """
 
     measurement: Measurement
     series: tuple[Series, ...]
-    model: BudgetModel
-    covariance: Array
-    mean: Array | None = None
+    model: BudgetModel  #: of the readings, for the budget
+    covariance: Array  #: (np, np) of the parameters after identification
+    mean: Array | None = None  #: (np,) identified errors; None before any reading
+    #: (m, np) draws of the posterior, or of its approximation, about the estimate; None
+    #: before any reading
     draws: Array | None = None
+    #: number of independent draws that these are worth; None: all
     worth: float | None = None
+    #: (np, np) of the estimate, where it holds more than the model
     estimated: Array | None = None
+    #: what acts beside the parameters; None where nothing is allowed to
     effects: ActingEffects | None = None
+    #: (np,) parameters of the controller, SI; the identified ones by default
     sent: Array | None = None
+    #: (k,) coefficients of the effects that the controller corrects beside them; none
+    #: by default
     corrected: Array | None = None
 
     @property

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import get_args
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import posterior, trust, units
 from oed.accuracy import (
@@ -69,7 +69,7 @@ def add_realised(
         return section
     spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
     shares = {n: s.rms / section.components[n].after.rms for n, s in spreads.items()}
-    return msgspec.structs.replace(section, realised=spreads, realised_share=shares)
+    return replace(section, realised=spreads, realised_share=shares)
 
 
 def accuracy_section(
@@ -129,7 +129,7 @@ def add_wanted(
 ) -> PredictionSection:
     """The section with the rms errors to reach, given in SI by component."""
     fine = {name: units.number(v, section.unit[name]) for name, v in wanted.items()}
-    return msgspec.structs.replace(section, wanted=fine)
+    return replace(section, wanted=fine)
 
 
 def component_records(
@@ -564,7 +564,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         parameter_knowledge, command, [table.reference, *others], rng
     )
     section = _section(state, parameter_knowledge, by_reference[table.reference])
-    section = msgspec.structs.replace(
+    section = replace(
         section,
         references={
             reference: component_records(machine, result.prediction)
@@ -654,7 +654,7 @@ def _section(
     )
     expected = _expected_effects(state, main) if planned else None
     lines = budget_section(machine, main.prediction, budget, expected)
-    return msgspec.structs.replace(section, budget=lines)
+    return replace(section, budget=lines)
 
 
 def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | None:
