@@ -22,7 +22,11 @@ def set_up() -> None:
     Raises OSError where the standard output is closed. Streams that are closed get the
     null device: otherwise the next file that is opened would have their number.
     """
-    _fill_closed_streams()
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     if sys.stdout is None:
@@ -31,15 +35,6 @@ def set_up() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _fill_closed_streams() -> None:
-    """Open the null device for each of the three streams that is closed."""
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
 
 
 def terminal() -> Any:

@@ -147,7 +147,11 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
     if not numeric:
         problem = "no line of numbers in columns"
         raise InputError(problem, "give a CSV with one reading a line", file=file)
-    usual = _columns_of_numbers([wide[k] for k in numeric])
+    usual = [
+        column
+        for column, cells in enumerate(zip(*[wide[k] for k in numeric], strict=True))
+        if 2 * sum(map(_is_number, cells)) > len(cells)
+    ]
     cells = {k: [wide[k][column] for column in usual] for k in numeric}
     # a fact above the header, such as a rate of 100 alone, leaves most columns empty
     full = [k for k in numeric if 2 * sum(map(bool, cells[k])) > len(usual)] or numeric
@@ -162,14 +166,6 @@ def _has_numbers(cells: Sequence[str]) -> bool:
     """Whether half of the filled cells of a line are numbers, or more."""
     numbers = sum(map(_is_number, cells))
     return 0 < sum(map(bool, cells)) <= 2 * numbers
-
-
-def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:
-    return [
-        column
-        for column, cells in enumerate(zip(*lines, strict=True))
-        if 2 * sum(map(_is_number, cells)) > len(cells)
-    ]
 
 
 def _is_number(cell: str) -> bool:

@@ -46,7 +46,18 @@ def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[Drawing
     """
     names = [p.name for p in kinematics.machine.parameters]
     moved = [_moved_point(kinematics, x, q, k) for k in range(len(names))]
-    places = _join_points(kinematics, x, q, moved)
+    nominal = kinematics.machine.nominal
+    by_p = kinematics.equations.slopes(x[None], q[None], nominal)[1][0]
+    scale = np.abs(by_p).max(axis=1, keepdims=True)
+    in_row = np.abs(by_p) > MIN_SLOPE * scale
+    places = list(moved)
+    drawn = {k: location for k, location in enumerate(moved) if location is not None}
+    for k in range(len(places)):
+        rows = np.flatnonzero(in_row[:, k])
+        sharing = [j for j in drawn if in_row[rows, j].any()]
+        points = {tuple(np.round(drawn[j] / SAME_PLACE)) for j in sharing}
+        if k not in drawn and 1 <= len(points) <= MAX_ENDS:
+            places[k] = np.array(sorted(points)).mean(axis=0) * SAME_PLACE
     members: dict[tuple[float, ...], list[str]] = {}
     for name, location in zip(names, places, strict=True):
         if location is not None and name not in kinematics.machine.frame:
@@ -103,25 +114,6 @@ def _label_points(
 ) -> Iterator[Array]:
     for line in kinematics.skeleton(x, q, p):
         yield from line
-
-
-def _join_points(
-    kinematics: Kinematics, x: Array, q: Array, moved: Sequence[Array | None]
-) -> list[Array | None]:
-    """The moved points, and for other parameters the middle of the points they join."""
-    nominal = kinematics.machine.nominal
-    by_p = kinematics.equations.slopes(x[None], q[None], nominal)[1][0]
-    scale = np.abs(by_p).max(axis=1, keepdims=True)
-    in_row = np.abs(by_p) > MIN_SLOPE * scale
-    places = list(moved)
-    drawn = {k: location for k, location in enumerate(moved) if location is not None}
-    for k in range(len(places)):
-        rows = np.flatnonzero(in_row[:, k])
-        sharing = [j for j in drawn if in_row[rows, j].any()]
-        points = {tuple(np.round(drawn[j] / SAME_PLACE)) for j in sharing}
-        if k not in drawn and 1 <= len(points) <= MAX_ENDS:
-            places[k] = np.array(sorted(points)).mean(axis=0) * SAME_PLACE
-    return places
 
 
 #: packages on which the numbers depend

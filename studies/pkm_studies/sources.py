@@ -108,12 +108,7 @@ def _source_rows(
         raise study.location.key("setup").error(
             "no set-up has readings in the source", suggest("", names, "it has")
         )
-    return _build(of_setups, str(folder), measurement)
-
-
-def _build(rows: Sequence[Row], name: str, measurement: Measurement) -> Dataset:
-    """Readings from rows of text; numbered as the lines of a readings file."""
     try:
-        return dataset.from_rows(rows, name, measurement)
+        return dataset.from_rows(of_setups, str(folder), measurement)
     except ReadingsError as error:
         raise _input_error(error) from error

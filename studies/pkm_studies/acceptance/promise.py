@@ -14,7 +14,7 @@ from oed.accuracy import ErrorMaps, Reference, driven_errors
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component, Machine
-from oed.result import CorrectedSection, EstimateSection, PredictionSection, StudyResult
+from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.resolve import StudyWorkspace, study_kinematics
@@ -148,7 +148,13 @@ def _poses(used: StudyWorkspace) -> Array:
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:
     if result.corrected is None:
-        return _states_of_use(result.judged_prediction)
+        if result.judged_prediction is None or not result.judged_prediction.states:
+            return ()
+        parts = [
+            f"{column} {' and '.join(f'{value:g}' for value in values)}"
+            for column, values in result.judged_prediction.states.items()
+        ]
+        return (f"the machine is measured over the states in use: {', '.join(parts)}",)
     return (*result.corrected.conditions, *without_effects(result))
 
 
@@ -179,17 +185,6 @@ def _assumed_uncertainty(names: Sequence[str]) -> tuple[str, ...]:
         f" it is taken to be uncertain by {share} of the promise, unless --uncertainty"
         " states it",
     )
-
-
-def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
-    """The states in which a promise with effects holds; none without effects."""
-    if prediction is None or not prediction.states:
-        return ()
-    parts = [
-        f"{column} {' and '.join(f'{value:g}' for value in values)}"
-        for column, values in prediction.states.items()
-    ]
-    return (f"the machine is measured over the states in use: {', '.join(parts)}",)
 
 
 def without_effects(result: StudyResult) -> tuple[str, ...]:

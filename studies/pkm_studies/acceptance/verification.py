@@ -112,7 +112,10 @@ def _compare(
         return None
     residual = y - measurement.readings(compensated, theta)
     jacobian = measurement.jacobian(compensated, theta)
-    noise = np.diag(_noise_sigma(measurement, series, section) ** 2)
+    scale = 1.0  # of the stated noise, where the fit left more than it
+    if section.dof > 0.0:
+        scale = max(1.0, float(np.sqrt(section.chi2 / section.dof)))
+    noise = np.diag((scale * measurement.sigma(series)) ** 2)
     total = jacobian @ covariance @ jacobian.T + noise
     count = len(measurement.machine.parameters)
     of_setup, of_parameters = jacobian[:, count:], covariance[count:, count:]
@@ -149,18 +152,6 @@ def _knowledge(
         factor, factor
     )
     return theta, covariance
-
-
-def _noise_sigma(
-    measurement: Measurement,
-    series: Sequence[Series],
-    section: EstimateSection | CorrectedSection,
-) -> Array:
-    """Stated noise (N,), SI, enlarged where the fit left more than it."""
-    scale = 1.0
-    if section.dof > 0.0:
-        scale = max(1.0, float(np.sqrt(section.chi2 / section.dof)))
-    return scale * measurement.sigma(series)
 
 
 def check_sentences(check: RunCheck) -> Iterator[str]:
@@ -273,23 +264,18 @@ def _offsets(further: FurtherPromise, plan: AcceptancePlan) -> list[dict[str, fl
 def _other_poses(result: StudyResult, accuracy: PromisedAccuracy) -> Index:
     """Numbers of the workspace poses that the calibration did not read."""
     command = accuracy.command
-    used = _calibration_commands(result, accuracy)
+    names = list(describe.displayed_command(accuracy.machine, accuracy.command[0]))
+    commands = [] if result.estimate is None else result.estimate.commands
+    rows = [
+        [float(units.to_si(c[n], units.split(n)[1])) for n in names] for c in commands
+    ]
+    used = np.array(rows).reshape(len(rows), len(names))
     if not len(used):
         return np.arange(len(command))
     size = np.ptp(np.vstack([command, used]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     distance = np.abs(command[:, None] - used[None]) / scaled
     return np.flatnonzero(distance.max(axis=2).min(axis=1) > MIN_RANGE_SHARE)
-
-
-def _calibration_commands(result: StudyResult, accuracy: PromisedAccuracy) -> Array:
-    """Commands (n, n_dof), SI, that the calibration read, as far as they are known."""
-    names = list(describe.displayed_command(accuracy.machine, accuracy.command[0]))
-    commands = [] if result.estimate is None else result.estimate.commands
-    rows = [
-        [float(units.to_si(c[n], units.split(n)[1])) for n in names] for c in commands
-    ]
-    return np.array(rows).reshape(len(rows), len(names))
 
 
 def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:

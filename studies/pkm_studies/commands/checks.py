@@ -124,7 +124,17 @@ def _check_study(
         resolved.append(without_readings)
         complete = without_readings.with_stated_readings()
         remarks = stages.check_inputs(complete)
-        content = _content(study, complete)
+        counts = {
+            "set-up": len(complete.setups),
+            "candidate": sum(len(s) for s in complete.candidates),
+            "reading": _n_readings(complete.dataset) if complete.dataset else 0,
+            "claim": len(study.expect),
+        }
+        parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
+        sentences = [f"sound: {', '.join(parts)}", *complete.warnings]
+        if complete.has_own_numbers:
+            sentences += _doubts(complete.measurement.kinematics)
+        content = "; ".join(sentences)
         if complete.dataset is not None:
             return _add_findings(content, complete, complete.dataset)
         if alone:
@@ -164,20 +174,6 @@ def _unseen(study: ResolvedStudy) -> list[str]:
 
 def _rng(study: ResolvedStudy) -> np.random.Generator:
     return Stream.CHECKS.rng(study.study.seed)
-
-
-def _content(study: Study, resolved: ResolvedStudy) -> str:
-    counts = {
-        "set-up": len(resolved.setups),
-        "candidate": sum(len(s) for s in resolved.candidates),
-        "reading": _n_readings(resolved.dataset) if resolved.dataset else 0,
-        "claim": len(study.expect),
-    }
-    parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
-    sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
-    if resolved.has_own_numbers:
-        sentences += _doubts(resolved.measurement.kinematics)
-    return "; ".join(sentences)
 
 
 def _n_readings(data: Dataset) -> int:

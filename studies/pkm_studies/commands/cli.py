@@ -214,7 +214,15 @@ def _guarded(arguments: Sequence[str] | None) -> int:
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
-        return _bad_call(error.format_message())
+        usage = error.format_message()
+        if usage.startswith("Usage:"):
+            console.print_on_error_stream(usage)
+            return BAD_INPUT
+        line = " ".join(usage.split()).rstrip(".").replace("Value error, ", "")
+        problem, asks, guess = line.partition(". Did you mean ")
+        if asks:
+            line = f"{problem} (did you mean {guess.rstrip('?')}?)"
+        return _bad_input(f"{line}; see `oed --help`.")
 
 
 def _call(arguments: Sequence[str] | None) -> int:
@@ -250,18 +258,6 @@ def _file_text(error: OSError) -> str:
 def _loaded_errors(names: Mapping[str, str]) -> tuple[type[BaseException], ...]:
     loaded = [(sys.modules.get(module), name) for module, name in names.items()]
     return tuple(getattr(module, name) for module, name in loaded if module is not None)
-
-
-def _bad_call(usage: str) -> int:
-    """How typer says that the command was called, in one line; its help as it is."""
-    if usage.startswith("Usage:"):
-        console.print_on_error_stream(usage)
-        return BAD_INPUT
-    line = " ".join(usage.split()).rstrip(".").replace("Value error, ", "")
-    problem, asks, guess = line.partition(". Did you mean ")
-    if asks:
-        line = f"{problem} (did you mean {guess.rstrip('?')}?)"
-    return _bad_input(f"{line}; see `oed --help`.")
 
 
 def _bad_input(paragraph: str) -> int:

@@ -261,23 +261,18 @@ def load_for(
     loaded = load(path, allow_code)
     folder = out or Path("out") / f"{loaded.name}{suffix}"
     files.check_writable(folder)
-    _check_apart(loaded, folder)
-    return loaded, folder
-
-
-def _check_apart(study: Study, folder: Path) -> None:
-    """Raises InputError where the study takes its prior from the folder of its results."""
-    named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
+    named = {"earlier": [loaded.prior.earlier or ""], "from": loaded.prior.from_}
     for key, names in named.items():
         for name in filter(None, names):
-            if (study.folder / name).resolve() == folder.resolve():
+            if (loaded.folder / name).resolve() == folder.resolve():
                 raise InputError(
                     "the result would replace the one that its prior is taken from",
                     "give another --out",
-                    file=str(study.path),
+                    file=str(loaded.path),
                     field=f"prior.{key}",
                     value=name,
                 )
+    return loaded, folder
 
 
 def next_reading(

@@ -601,20 +601,6 @@ def design_request(
     if table is None:
         return None
     location = study.location.key("design")
-    _check_fields(study, table, location)
-    return DesignRequest(
-        interest=_interest(table, measurement, location.key("interest")),
-        combination=_combination(table, measurement, location.key("combination")),
-        accuracy=_accuracy(table, measurement, location.key("accuracy")),
-        least_distance=_least_distance(table, measurement, location.key("apart")),
-        retained=_retained(study, table, measurement, references, location),
-        free_ranges=_free_ranges(table, measurement, location.path("polish", "free")),
-        quotas=quota_set(table, measurement, candidates, location),
-    )
-
-
-# -- fields that need each other -------------------------------------------------------
-def _check_fields(study: Study, table: DesignTable, location: Location) -> None:
     _check_criteria(study, table, location)
     _check_prior(table, location)
     if table.branch_nodes:
@@ -628,8 +614,18 @@ def _check_fields(study: Study, table: DesignTable, location: Location) -> None:
         raise location.key("keep").error(
             "keep_readings is given as well", "keep one of the two", table.keep
         )
+    return DesignRequest(
+        interest=_interest(table, measurement, location.key("interest")),
+        combination=_combination(table, measurement, location.key("combination")),
+        accuracy=_accuracy(table, measurement, location.key("accuracy")),
+        least_distance=_least_distance(table, measurement, location.key("apart")),
+        retained=_retained(study, table, measurement, references, location),
+        free_ranges=_free_ranges(table, measurement, location.path("polish", "free")),
+        quotas=quota_set(table, measurement, candidates, location),
+    )
 
 
+# -- fields that need each other -------------------------------------------------------
 def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
     polished = CRITERIA.polished
     if table.judged_by not in polished:

@@ -370,22 +370,18 @@ def _acting_effect(
         if name not in effect.constants:
             field = location.path("constants", name)
             raise field.error("no such constant", suggest(name, effect.constants))
+    # the middle value of the first constant, the first value of the others
+    usual = {name: values[0] for name, values in effect.constants.items()}
+    for name, values in list(effect.constants.items())[:1]:
+        usual[name] = values[len(values) // 2]
     return ActingEffect(
         effect=effect_with_sizes(effect, study),
-        constants=_usual_constants(effect) | table.constants,
+        constants=usual | table.constants,
         size=table.size,
         draw=table.draw,
         coefficients=table.coefficients or None,
         location=location,
     )
-
-
-def _usual_constants(effect: Effect) -> dict[str, float]:
-    """The middle value of the first constant, the first value of the others."""
-    usual = {name: values[0] for name, values in effect.constants.items()}
-    for name, values in list(effect.constants.items())[:1]:
-        usual[name] = values[len(values) // 2]
-    return usual
 
 
 # Covariates of planned readings under [gap.conditions]: time, direction, feed, load.
@@ -432,17 +428,6 @@ def _commands(series: Series, rows: np.ndarray) -> Array:
     if series.index.shape[1] == 2 and series.index[rows[0], 1] < poses.min():
         poses = np.concatenate([series.index[rows[:1], 1], poses])
     return np.asarray(series.command[poses])
-
-
-def _condition_words(condition: RunCondition) -> list[str]:
-    phrases = []
-    if condition.payload is not None:
-        phrases.append(f"{condition.payload:g} N")
-    if condition.feed_mm_min is not None:
-        phrases.append(f"{condition.feed_mm_min:g} mm/min")
-    if condition.start_min is not None:
-        phrases.append(f"at {condition.start_min:g} min")
-    return [*phrases, "+1" if condition.direction == 1 else "-1"]
 
 
 def _condition_si(condition: RunCondition) -> dict[str, float]:
@@ -544,7 +529,14 @@ class GapDesignRequest:
                 )
             seconds = reading_time(measurement.setups[series.setup], self.timing)
             for condition in conditions:
-                words = _condition_words(condition)
+                phrases = []
+                if condition.payload is not None:
+                    phrases.append(f"{condition.payload:g} N")
+                if condition.feed_mm_min is not None:
+                    phrases.append(f"{condition.feed_mm_min:g} mm/min")
+                if condition.start_min is not None:
+                    phrases.append(f"at {condition.start_min:g} min")
+                words = [*phrases, "+1" if condition.direction == 1 else "-1"]
                 parts = [prefix, PASS_SUFFIX.sub("", label), *words]
                 run = gap.Run(
                     name=", ".join(part for part in parts if part),

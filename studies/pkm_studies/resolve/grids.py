@@ -32,7 +32,6 @@ from pkm_studies.tables import (
     CIRCLE_PLANES,
     Axis,
     CircleTable,
-    CubeTable,
     GridTable,
     OrderTable,
     Span,
@@ -192,7 +191,10 @@ def _points(table: GridTable, kind: str) -> tuple[Array, list[str]]:
         line = table.line
         points = units.to_si(np.linspace(line.from_mm, line.to_mm, line.count), "mm")
     elif table.cube is not None:
-        points = cube_points(table.cube)
+        edge = np.linspace(-0.5, 0.5, table.cube.count) * table.cube.side_mm
+        mesh = np.meshgrid(edge, edge, edge, indexing="ij")
+        offsets = np.column_stack([axis.ravel() for axis in mesh])
+        points = units.to_si(np.array(table.cube.centre_mm) + offsets, "mm")
     else:
         raise LookupError(f"the table has no points by {kind}")
     return points, [kind] * len(points)
@@ -214,14 +216,6 @@ def circle_points(circle: CircleTable) -> tuple[Array, list[str]]:
         points.append(np.array(circle.centre_mm) + circle.radius_mm * around)
         run += [f"circle {circle.plane} {direction}"] * circle.count
     return units.to_si(np.concatenate(points), "mm"), run
-
-
-def cube_points(cube: CubeTable) -> Array:
-    """Points (count^3, 3), m, evenly spaced in a cube."""
-    edge = np.linspace(-0.5, 0.5, cube.count) * cube.side_mm
-    mesh = np.meshgrid(edge, edge, edge, indexing="ij")
-    offsets = np.column_stack([axis.ravel() for axis in mesh])
-    return units.to_si(np.array(cube.centre_mm) + offsets, "mm")
 
 
 def _single_values(

@@ -226,7 +226,14 @@ def _setup(
         tolerances=_tolerances(table, instrument, location),
         **_settings(table, instrument, location),  # type: ignore[arg-type]
     )
-    protocol = _protocol(table, instrument, location)
+    protocol = Protocol(table.repeats, table.both_directions, table.average)
+    if len(protocol.pass_names) > 1 and instrument.reference == "run":
+        problem = (
+            f"{instrument.name} reads against the first pose of a run, so its runs"
+            " are not repeated here"
+        )
+        remedy = "list the repeated runs in the grids"
+        raise location.key("repeats").error(problem, remedy, table.repeats)
     setup = dataclasses.replace(setup, protocol=protocol, station=table.station or "")
     _check_teach_pose(kinematics, setup, location)
     return setup
@@ -281,20 +288,6 @@ def _tolerances(
     for key, value in table.tolerance.items():
         check_not_negative(value, location.key(key))
     return tolerances
-
-
-def _protocol(
-    table: SetupTable, instrument: Instrument, location: Location
-) -> Protocol:
-    protocol = Protocol(table.repeats, table.both_directions, table.average)
-    if len(protocol.pass_names) > 1 and instrument.reference == "run":
-        problem = (
-            f"{instrument.name} reads against the first pose of a run, so its runs"
-            " are not repeated here"
-        )
-        remedy = "list the repeated runs in the grids"
-        raise location.key("repeats").error(problem, remedy, table.repeats)
-    return protocol
 
 
 def _teach(
@@ -363,7 +356,17 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
         return kinematics.with_controller(Controller(values))
     rows: Rows | None
     if path.suffix == ".json":
-        rows = _json_rows(path, location, name, machine)
+        text = files.read_text(path, limit=MAX_BYTES, what="parameter table")
+        try:
+            document = json.loads(text)
+            rows = {str(n): dict(r) for n, r in document["parameters"].items()}
+            other = str(document.get("machine", machine.name))
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            raise location.error(
+                "this is no table of parameters", REMEDY, name
+            ) from None
+        if other != machine.name:
+            raise _other_machine(location, name, f"{machine.name} for {other}")
     elif path.suffix != ".csv":
         raise location.error("this is no table of parameters", REMEDY, name)
     else:
@@ -373,20 +376,6 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
         return kinematics.with_controller(_tabled(kinematics, path, location))
     values = _parameters(rows, machine, location, name)
     return kinematics.with_controller(Controller(values))
-
-
-def _json_rows(path: Path, location: Location, name: str, machine: Machine) -> Rows:
-    """Rows {parameter: value, unit, nominal} of a compensation.json."""
-    text = files.read_text(path, limit=MAX_BYTES, what="parameter table")
-    try:
-        document = json.loads(text)
-        rows: Rows = {str(n): dict(r) for n, r in document["parameters"].items()}
-        other = str(document.get("machine", machine.name))
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise location.error("this is no table of parameters", REMEDY, name) from None
-    if other != machine.name:
-        raise _other_machine(location, name, f"{machine.name} for {other}")
-    return rows
 
 
 def _csv_rows(path: Path, location: Location, name: str) -> Rows | None:
@@ -687,7 +676,12 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     ]
     fitted, held_out = reading_roles(study, mounted)
     check_stages(study, everything)
-    _check_free(study, everything)
+    if not everything.free.any():
+        raise study.location.path("machine", "fixed").error(
+            "every parameter is fixed: nothing is left to identify",
+            "leave the ones that the readings are to say",
+            study.machine.fixed,
+        )
     prediction = prediction_request(study, machine)
     if prediction is not None:
         check_reach(study, prediction, kinematics)
@@ -716,16 +710,6 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         warnings=warnings,
     )
     return resolved.with_dataset(resolved.read_dataset(readings))
-
-
-def _check_free(study: Study, everything: Measurement) -> None:
-    """Raises InputError where no parameter of machine and set-ups is free."""
-    if not everything.free.any():
-        raise study.location.path("machine", "fixed").error(
-            "every parameter is fixed: nothing is left to identify",
-            "leave the ones that the readings are to say",
-            study.machine.fixed,
-        )
 
 
 def measurement_factory(

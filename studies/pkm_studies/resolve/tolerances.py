@@ -299,7 +299,10 @@ def replace_tolerances(
 ) -> tuple[Machine, dict[str, Setup]]:
     """Machine and set-ups with the study's tolerances and noise. Raises InputError."""
     names = _parameter_units(machine, setups)
-    prior = _prior_tolerances(study, names)
+    location = study.location.path("prior", "tolerance")
+    prior: dict[str, float] = {}  # later tables win
+    for i, table in enumerate(study.prior.tolerance):
+        prior |= _matching_tolerances(table, names, location.item(i))
     fixed = _fixed_parameters(study, names)
     parameters = [
         dataclasses.replace(p, tolerance=prior.get(p.name, p.tolerance))
@@ -343,15 +346,6 @@ def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str,
     for setup in setups.values():
         table |= {f"{setup.owner}.{n.name}": n.unit for n in setup.nuisances}
     return table
-
-
-def _prior_tolerances(study: Study, names: Mapping[str, str]) -> dict[str, float]:
-    """Standard deviations, SI, by parameter; later tables of [prior] win."""
-    location = study.location.path("prior", "tolerance")
-    tolerances: dict[str, float] = {}
-    for i, table in enumerate(study.prior.tolerance):
-        tolerances |= _matching_tolerances(table, names, location.item(i))
-    return tolerances
 
 
 def _matching_tolerances(

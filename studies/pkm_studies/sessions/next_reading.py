@@ -22,7 +22,7 @@ from oed.effects import PlannedEffects
 from oed.estimation import Estimate, IdentificationError, identify
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series, reading_structure
-from oed.noise import Laws, Noise
+from oed.noise import Laws
 from oed.poses import Belief
 from oed.result import ChosenRun, GapSection, Judgement, StudyResult
 from oed.text import format_number, format_probability
@@ -117,17 +117,6 @@ def effects_at(
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),
     )
-
-
-def noise_with_effects(
-    measurement: Measurement, taken: Sequence[Series], effects: PlannedEffects
-) -> Noise:
-    """Stated noise of the readings taken, with the effects' covariance beside it."""
-    structure = reading_structure(measurement, taken, measurement.nominal)
-    changes = effects.readings.take(slice(0, len(structure)))
-    columns = np.hstack([changes.columns, np.diag(changes.scatter)])
-    wider = dataclasses.replace(structure, effects=structure.standardise(columns))
-    return Laws.stated(wider).noise(wider)
 
 
 #: how a file is refused whose cells for readings are all empty
@@ -486,7 +475,11 @@ def _fit(
     """The fit; all parameters at once where few readings fail to find a start."""
     noise = None
     if effects is not None:
-        noise = noise_with_effects(measurement, series, effects)
+        structure = reading_structure(measurement, series, measurement.nominal)
+        changes = effects.readings.take(slice(0, len(structure)))
+        columns = np.hstack([changes.columns, np.diag(changes.scatter)])
+        wider = dataclasses.replace(structure, effects=structure.standardise(columns))
+        noise = Laws.stated(wider).noise(wider)
     most = state.study.identify.max_iterations
     stages = state.resolved.identification_stages
     try:

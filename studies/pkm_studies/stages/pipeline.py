@@ -48,21 +48,6 @@ HEADER = [
 TIMES = ["begin_min", "end_min", "price", "operator"]  #: columns of plans with times
 
 
-def stages_csv(plan: result.PlanSection) -> str:
-    """One row a stage, set-ups in working order; with times where the plan has them."""
-    has_times = any(stage.begin_min is not None for stage in plan.stages)
-    rows: list[list[object]] = [[*HEADER, *(TIMES if has_times else [])]]
-    for number, stage in enumerate(plan.stages, start=1):
-        begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
-        times = (
-            [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
-            if has_times
-            else []
-        )
-        rows.append([number, *_stage_cells(stage), *times])
-    return csv_text.of_rows(rows)
-
-
 def _stage_cells(stage: result.StageRecord) -> list[object]:
     return [
         stage.measurement,
@@ -142,7 +127,17 @@ def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
         readings = dataset.from_series(state.planned, empty, measurement)
         texts["poses.csv"] = dataset.to_csv(readings, comments_of(measurement))
     if result.plan is not None:
-        texts["plan.csv"] = stages_csv(result.plan)
+        has_times = any(stage.begin_min is not None for stage in result.plan.stages)
+        rows: list[list[object]] = [[*HEADER, *(TIMES if has_times else [])]]
+        for number, stage in enumerate(result.plan.stages, start=1):
+            begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
+            times = (
+                [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
+                if has_times
+                else []
+            )
+            rows.append([number, *_stage_cells(stage), *times])
+        texts["plan.csv"] = csv_text.of_rows(rows)
     if state.plan is not None:
         texts["plan_poses.json"] = poses_json(state.plan)
     return texts

@@ -82,7 +82,12 @@ class Study(StudyFile, frozen=True, kw_only=True):
         table = decode.tables_of(
             text, location, "mend it there, or start from `oed new`"
         )
-        _check_schema(table, location)
+        version = location.key("schema")
+        if "schema" not in table:
+            raise version.error("missing", "write `schema = 1` at the top of the file")
+        if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
+            remedy = "this program reads schema = 1"
+            raise version.error("unknown version", remedy, table["schema"])
         tables = decode.decode_table(StudyFile, table, location)
         _check_tables(tables, location)
         fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
@@ -110,16 +115,6 @@ class Study(StudyFile, frozen=True, kw_only=True):
                 "use numbers, texts, lists and tables",
             ) from error
         return Study.parse(text, path, consent)
-
-
-def _check_schema(table: dict[str, Any], location: Location) -> None:
-    location = location.key("schema")
-    if "schema" not in table:
-        raise location.error("missing", "write `schema = 1` at the top of the file")
-    if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
-        raise location.error(
-            "unknown version", "this program reads schema = 1", table["schema"]
-        )
 
 
 def _check_tables(study: StudyFile, location: Location) -> None:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from oed import posterior, units
 from oed.accuracy import least_error
 from oed.base import Array
-from oed.checks import CheckFinding, Goodness, goodness_of_delivered
+from oed.checks import Goodness, goodness_of_delivered
 from oed.compensate import GridAxis
 from oed.corrected import CorrectedAccuracy, CorrectedEstimate
 from oed.effect_model import Effect
@@ -392,31 +392,10 @@ def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[st
 #
 # The check looked at a fit without effects. Where parameters and effects together fit, the
 # alarm would be untrue of the values that count.
-def resolved_sentences(
-    corrected: CorrectedSection, findings: Sequence[CheckFinding]
-) -> dict[str, str]:
-    """Alarms of the fit without effects, and what is true with them."""
-    ratio = noise_ratio(corrected.chi2, corrected.dof)
-    effects = join_words([plain_name(name) for name in corrected.constants])
-    opening = (
-        f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
-    )
-    return sentences_with(opening, findings)
-
-
 def _fit(ratio: float | None) -> str:
     if ratio is None:
         return "the readings fit"
     return f"the residuals are {ratio:.1f} times the stated noise"
-
-
-def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
-    """Alarms of the fit without effects, each after what is true with them."""
-    return {
-        f.sentence: f"{opening} Without them the check says: {f.sentence}"
-        for f in findings
-        if f.is_about_the_fit
-    }
 
 
 # The step that estimates parameters and effects together.
@@ -587,7 +566,14 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
         return state
     true = {}
     if checked is not None and checked.bad_fit:
-        true = resolved_sentences(section, findings)
+        ratio = noise_ratio(section.chi2, section.dof)
+        effects = join_words([plain_name(name) for name in section.constants])
+        opening = f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
+        true = {
+            f.sentence: f"{opening} Without them the check says: {f.sentence}"
+            for f in findings
+            if f.is_about_the_fit
+        }
         renamed = [true.get(finding, finding) for finding in state.goodness.findings]
         goodness = replace(state.goodness, findings=renamed, bad_fit=False)
         state = state.add_sections(goodness=goodness)

@@ -61,7 +61,14 @@ def order_plan(
     location = location.key("order")
     mounted = list(dict.fromkeys(s.setup for s in retained))
     names = list(dict.fromkeys(s.setup for s in series))
-    names, mounting = _order_setups(measurement, names, table.order, rng)
+    changes = ChangeTimes(
+        60.0 * table.order.change_tool_min,
+        60.0 * table.order.change_place_min,
+        60.0 * table.order.change_settings_min,
+    )
+    names, mounting = changes.order_mounting(
+        [measurement.setups[n] for n in names], rng
+    )
     labelled = [_added_readings(s) if s.setup in mounted else s for s in series]
     orders = {}
     for name in names:
@@ -111,21 +118,6 @@ def _added_readings(series: Series) -> Series:
     """New readings in a set-up with retained ones: the names of their runs say so."""
     labels = ["added" if run == "1" else f"added {run}" for run in series.run]
     return dataclasses.replace(series, run=np.array(labels, dtype=np.str_))
-
-
-def _order_setups(
-    measurement: Measurement,
-    names: list[str],
-    table: OrderTable,
-    rng: np.random.Generator,
-) -> tuple[list[str], float]:
-    """Set-ups in the order of least re-mounting, and the time for that, s."""
-    changes = ChangeTimes(
-        60.0 * table.change_tool_min,
-        60.0 * table.change_place_min,
-        60.0 * table.change_settings_min,
-    )
-    return changes.order_mounting([measurement.setups[n] for n in names], rng)
 
 
 def _order_setup(

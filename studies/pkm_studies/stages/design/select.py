@@ -514,7 +514,15 @@ def select_design(
     size = chosen_size(resolved)
     planned = expected if expected is None or size == 1.0 else expected.of_size(size)
     search = DesignSearch.build(resolved, planned)
-    choice, relaxed_summary = _main_choice(search, rng)
+    table = search.criteria.table
+    relaxed_summary = None
+    if table.method == "relaxed":
+        choice, relaxed_summary = choose_relaxed(search)
+    else:
+        choice = search.best_plan(rng)
+    if table.branch_nodes:
+        criterion = search.main_criterion
+        choice = search.problem.tighten(criterion, choice, table.branch_nodes, rng)
     at_expected = search
     if planned is not expected:
         at_expected = DesignSearch.build(resolved, expected)
@@ -565,22 +573,6 @@ def check_design(resolved: ResolvedStudy) -> None:
 def _has_design(resolved: ResolvedStudy) -> bool:
     is_asked = resolved.study.design is not None and resolved.design is not None
     return is_asked and bool(resolved.candidates)
-
-
-def _main_choice(
-    search: DesignSearch, rng: np.random.Generator
-) -> tuple[Choice, RelaxedSummary | None]:
-    """The plan for the study's own criterion, and weights where it comes from these."""
-    table = search.criteria.table
-    summary = None
-    if table.method == "relaxed":
-        choice, summary = choose_relaxed(search)
-    else:
-        choice = search.best_plan(rng)
-    if table.branch_nodes:
-        criterion = search.main_criterion
-        choice = search.problem.tighten(criterion, choice, table.branch_nodes, rng)
-    return choice, summary
 
 
 def _compared(

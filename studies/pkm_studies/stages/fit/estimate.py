@@ -581,7 +581,13 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         state = larger
         measurement = state.measurement
         estimate = _identify(state, start)
-    _refuse_mode_jump(state, estimate.theta)
+    jumps, count = state.measurement.mode_jumps(state.readings.series, estimate.theta)
+    if jumps:
+        raise IdentificationError(
+            f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
+            " mode; check the machine's numbers, the poses and the units of the"
+            " readings"
+        )
     fitted_as = goodness_of_delivered(
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
@@ -658,17 +664,6 @@ def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
     )
     larger = judged.widened(measurement)
     return state.replace(measurement=larger).add_warnings(warning)
-
-
-def _refuse_mode_jump(state: Measured, theta: Array) -> None:
-    """Raises IdentificationError where the fit mirrors the machine."""
-    jumps, count = state.measurement.mode_jumps(state.readings.series, theta)
-    if jumps:
-        raise IdentificationError(
-            f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
-            " mode; check the machine's numbers, the poses and the units of the"
-            " readings"
-        )
 
 
 def sample_posterior(state: Fitted) -> Fitted:

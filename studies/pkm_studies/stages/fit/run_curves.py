@@ -92,10 +92,13 @@ def _trace(
         """The members' values in order along the run, in the fine unit."""
         return _rounded(units.from_si(part[members][order], unit), DIGITS)
 
+    # the run's name without its pass; the number of its series stays
+    number = re.search(r" \(\d+\)$", run)
+    tail = number.group() if number else ""
     return Trace(
         setup=setup,
         run=run,
-        base=_run_of_pass(run),
+        base=PASS_SUFFIX.sub("", run.removesuffix(tail)) + tail,
         channel=channel,
         unit=unit,
         kind=kind,
@@ -117,13 +120,6 @@ def _rounded(values: Array, digits: int) -> list[float]:
 
 def _mm(value: float) -> float:
     return float(units.from_si(value, "mm"))
-
-
-def _run_of_pass(run: str) -> str:
-    """A run's name without its pass; the number of its series stays."""
-    number = re.search(r" \(\d+\)$", run)
-    tail = number.group() if number else ""
-    return PASS_SUFFIX.sub("", run.removesuffix(tail)) + tail
 
 
 def _constant(rows: pd.DataFrame, name: str, convert: Callable[[float], T]) -> T | None:
@@ -162,18 +158,14 @@ def run_shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
         axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
         along = offset @ axis
         return "line", np.asarray(units.from_si(along - along.min(), "mm")), None
-    radii = _radii(offset @ axes[:2].T)
-    if radii.std() < MAX_SPREAD * radii.mean() and extent[2] < MAX_SPREAD * extent[0]:
-        return "circle", np.degrees(phase), float(radii.mean())
-    return "points", numbers, None
-
-
-def _radii(points: Array) -> Array:
-    """Distances (N,) of points (N, 2) from the centre of the circle fitted to them."""
+    points = offset @ axes[:2].T  # radii are those of the circle fitted to them
     system = np.column_stack([2.0 * points, np.ones(len(points))])
     squares = np.sum(points**2, axis=1)
     centre = np.linalg.lstsq(system, squares, rcond=None)[0][:2]
-    return np.asarray(np.linalg.norm(points - centre, axis=1))
+    radii = np.asarray(np.linalg.norm(points - centre, axis=1))
+    if radii.std() < MAX_SPREAD * radii.mean() and extent[2] < MAX_SPREAD * extent[0]:
+        return "circle", np.degrees(phase), float(radii.mean())
+    return "points", numbers, None
 
 
 def spots(diagnosis: Diagnosis) -> tuple[list[Spot], str]:

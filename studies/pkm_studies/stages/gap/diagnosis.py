@@ -110,7 +110,18 @@ def exact_readings(
         others = acting[:k] + acting[k + 1 :]
         without = gap.exact_readings(measurement, series, truth, states, others)
         rms = _rms_by_channel(y - without, planned)
-        entries.append(_truth_entry(entry, factors[k], states, rms))
+        priors = _priors(entry, states)
+        coefficients = {
+            name: {"value": factor * priors[name].sd, "prior_sds": factor}
+            for name, factor in factors[k].items()
+        }
+        listed = {
+            "effect": entry.effect.name,
+            "constants": dict(entry.constants),
+            "coefficients": coefficients,
+            "rms": rms,
+        }
+        entries.append(listed)
     return y, entries
 
 
@@ -168,26 +179,6 @@ def _rms_by_channel(change: Array, planned: Dataset) -> dict[str, float]:
     return {
         f"{name}_{fine[name]}": float(units.from_si(rms, fine[name]))
         for name, rms in rms_by_channel(change, names).items()
-    }
-
-
-def _truth_entry(
-    acting: ActingEffect,
-    factors: Mapping[str, float],
-    states: Sequence[State],
-    rms: dict[str, float],
-) -> dict[str, Any]:
-    """An effect in the truth file: coefficients, SI and in prior sds, and its size."""
-    priors = _priors(acting, states)
-    coefficients = {
-        name: {"value": factor * priors[name].sd, "prior_sds": factor}
-        for name, factor in factors.items()
-    }
-    return {
-        "effect": acting.effect.name,
-        "constants": dict(acting.constants),
-        "coefficients": coefficients,
-        "rms": rms,
     }
 
 

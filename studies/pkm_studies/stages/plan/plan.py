@@ -75,10 +75,13 @@ def _limit(task: PlanTask) -> str:
             "All readings of all measurements together would reach it if none were lost"
             f" ({value:.3g} of the target)."
         )
+    shares = zip(task.goal.names, task.goal.accuracy(covariance), strict=True)
+    missed = [name for name, share in shares if share > 1.0]
+    all_missed = ", ".join(missed_accuracy(task, covariance, name) for name in missed)
     return (
         "Even all readings of all measurements together miss it by a factor of"
         f" {value:.3g}: it takes a set-up or an instrument that sees what these do not"
-        f" ({_all_missed(task, covariance)})."
+        f" ({all_missed})."
     )
 
 
@@ -99,13 +102,6 @@ def _half_noise(option: Option) -> Option:
     return dataclasses.replace(option, candidates=finer)
 
 
-def _all_missed(task: PlanTask, covariance: Array) -> str:
-    """The components that miss their target."""
-    shares = zip(task.goal.names, task.goal.accuracy(covariance), strict=True)
-    missed = [name for name, share in shares if share > 1.0]
-    return ", ".join(missed_accuracy(task, covariance, name) for name in missed)
-
-
 # Sequences of measurements from the study, compared with the best plan of their time.
 #
 # A sequence takes all readings of each measurement. Where they take longer than the
@@ -123,7 +119,15 @@ def compare_sequence(
     if seconds > task.budget * (1.0 + SAME_VALUE):
         sequence = _keep_within_budget(task, names, search)
         seconds = task.budget
-    best, bound = _best_plan(task, sequence, search, seconds)
+    if abs(seconds - task.budget) > SAME_VALUE * task.budget:
+        try:
+            search = task.search(seconds * (1.0 + SAME_VALUE))
+        except ValueError as error:
+            raise InputError(
+                str(error), "compare a sequence that takes longer", field="plan.compare"
+            ) from error
+    best = min(search.most_accurate, sequence, key=lambda plan: plan.value)
+    bound = search.bound.value
     readings = [s for stage in sequence.stages for s in stage.series]
     measurement = task.resolved.measurement_with({s.setup for s in readings})
     explained = Assessment.of(measurement, readings)
@@ -172,21 +176,6 @@ def _keep_within_budget(
         if set(plan.names) <= set(names):
             plans.append(plan)
     return min(plans, key=lambda plan: plan.value)
-
-
-def _best_plan(
-    task: PlanTask, sequence: StagePlan, search: PlanSearchResult, seconds: float
-) -> tuple[StagePlan, float]:
-    """The most accurate plan in a time, the sequence among them, and the bound."""
-    if abs(seconds - task.budget) > SAME_VALUE * task.budget:
-        try:
-            search = task.search(seconds * (1.0 + SAME_VALUE))
-        except ValueError as error:
-            raise InputError(
-                str(error), "compare a sequence that takes longer", field="plan.compare"
-            ) from error
-    best = min(search.most_accurate, sequence, key=lambda plan: plan.value)
-    return best, search.bound.value
 
 
 def _gain(task: PlanTask, sequence: StagePlan, best: StagePlan) -> dict[str, float]:
@@ -644,21 +633,14 @@ def build_outcome(
 
 def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
     """A stage's readings in working order."""
-    table = _add_order(task, stage.option.name)
-    location, rng = (
-        task.resolved.study.location.key("design"),
-        task.stage_generator(number),
-    )
+    design = task.resolved.study.design
+    measured = next(t for t in task.table.measurement if t.name == stage.option.name)
+    usual = design.order if design else DesignTable().order
+    table = DesignTable(order=usual, whole_runs=measured.whole_runs)
+    location = task.resolved.study.location.key("design")
+    rng = task.stage_generator(number)
     measurement = stage.option.measurement
     return order.order_plan(table, location, measurement, (), stage.series, rng)
-
-
-def _add_order(task: PlanTask, name: str) -> DesignTable:
-    """[design.order] and the whole runs of a measurement alone."""
-    design = task.resolved.study.design
-    table = next(t for t in task.table.measurement if t.name == name)
-    usual = design.order if design else DesignTable().order
-    return DesignTable(order=usual, whole_runs=table.whole_runs)
 
 
 def _stage_records(
@@ -688,6 +670,19 @@ def _stage_record(
     verdict = Assessment.of(stage.option.measurement, stage.series).identifiability
     accuracy = task.accuracy(stage.covariance)
     duration_min = units.number(stage.seconds, "min")
+    measurement = stage.option.measurement
+    names = [measurement.names[k] for k in _free_parameters(stage)]
+    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))[: len(names)]
+    pairs = zip(names, ratio, strict=True)
+    alone = [name for name, value in pairs if value > MAX_SD_RATIO]
+    unit = {p.name: p.unit for p in cumulative.measurement.parameters}
+    combinations = []
+    for terms in cumulative.identifiability.coefficients_by_name(
+        cumulative.identifiability.lost
+    ):
+        if set(terms) <= set(names) and not set(terms) <= set(alone):
+            combinations.append(combination_text(terms, unit))
+    unidentified = [*alone, *combinations]
     return result.StageRecord(
         measurement=stage.option.name,
         setups=ordered.summary.setups,
@@ -709,7 +704,7 @@ def _stage_record(
         cut_off_um=_largest_residual_um(stage),
         rank=cumulative.identifiability.rank,
         parameters=_standard_deviations(stage),
-        unidentified=_unidentified(task, stage, cumulative),
+        unidentified=unidentified,
         accuracy=accuracy,
     )
 
@@ -750,22 +745,3 @@ def _standard_deviations(stage: PlanStage) -> dict[str, result.Sd]:
         value = float(sd * measurement.tolerance[k])
         table[measurement.names[k]] = result.Sd(units.number(value, unit), unit)
     return table
-
-
-def _unidentified(
-    task: PlanTask, stage: PlanStage, cumulative: Assessment
-) -> list[str]:
-    """Parameters, then combinations of them, that no reading so far determines."""
-    measurement = stage.option.measurement
-    names = [measurement.names[k] for k in _free_parameters(stage)]
-    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))[: len(names)]
-    pairs = zip(names, ratio, strict=True)
-    alone = [name for name, value in pairs if value > MAX_SD_RATIO]
-    unit = {p.name: p.unit for p in cumulative.measurement.parameters}
-    combinations = []
-    for terms in cumulative.identifiability.coefficients_by_name(
-        cumulative.identifiability.lost
-    ):
-        if set(terms) <= set(names) and not set(terms) <= set(alone):
-            combinations.append(combination_text(terms, unit))
-    return [*alone, *combinations]

@@ -120,7 +120,14 @@ def read_earlier_session(
         for p in machine.parameters
     ]
     done = Counter(stored.drawing.reading_of if stored.drawing else [])
-    seconds = _session_seconds(resolved, request.options, done)
+    # the time follows the measurement that mounts the set-up, else its instrument
+    seconds = sum(_option_seconds(option, done) for option in request.options)
+    planned = {name for option in request.options for name in option.candidates.setups}
+    for name in sorted(set(done) - planned):
+        if name in resolved.setups:
+            mounting = resolved.setups[name].instrument.cost.setup
+            reading = resolved.measurement_with([name]).reading_seconds(name)
+            seconds += mounting + reading * done[name]
     tolerance = measurement.tolerance[measurement.free]
     phrase = (
         f"Planned after {', '.join(done) or 'no readings'} ({sum(done.values())}"
@@ -153,25 +160,6 @@ def stored_knowledge(
     whole = np.zeros((len(values), len(values)))
     whole[np.ix_(indices, indices)] = covariance
     return EstimatedParameters(values, whole)
-
-
-def _session_seconds(
-    resolved: ResolvedStudy, options: Sequence[Option], done: Mapping[str, int]
-) -> float:
-    """Time (s) that the readings {set-up: number} took.
-
-    It follows the measurement that mounts the set-up, else the set-up's instrument.
-    """
-    total = 0.0
-    for option in options:
-        total += _option_seconds(option, done)
-    planned = {name for option in options for name in option.candidates.setups}
-    for name in sorted(set(done) - planned):
-        if name in resolved.setups:
-            mounting = resolved.setups[name].instrument.cost.setup
-            reading = resolved.measurement_with([name]).reading_seconds(name)
-            total += mounting + reading * done[name]
-    return total
 
 
 def _option_seconds(option: Option, done: Mapping[str, int]) -> float:
