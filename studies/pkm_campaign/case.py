@@ -179,12 +179,14 @@ class VirtualMachine:
     def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         """The figures of the machine of this seed. Raises what a fit raises."""
         state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
-        fitted, truth, effects = virtual_fit(state)
+        fitted = virtual_fit(state)
+        truth = fitted.readings.truth
+        assert truth is not None  # a virtual machine has some
         figures = _fit_figures(fitted, truth)
         if state.resolved.prediction is not None:
             figures |= _accuracy_figures(fitted, state.resolved.prediction, truth)
         if self.diagnose:
-            figures |= _diagnosis_figures(fitted, effects)
+            figures |= _diagnosis_figures(fitted)
         return figures
 
 
@@ -261,12 +263,12 @@ def _accuracy_figures(
     return figures
 
 
-def _diagnosis_figures(state: Fitted, effects: list[dict[str, Any]]) -> dict[str, Any]:
+def _diagnosis_figures(state: Fitted) -> dict[str, Any]:
     section = written(diagnose_always(state).result.gap, "gap")
     answer = section.answers[0]
     return {
         "verdict": section.verdict,
         "answer": "+".join(sorted(answer.effects)),
         "probability": answer.probability,
-        "acting": "+".join(sorted(e["effect"] for e in effects)),
+        "acting": "+".join(sorted(e["effect"] for e in state.readings.effects)),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import operator
 import re
@@ -453,34 +454,24 @@ class GapDesignRequest:
     #: effects to separate from each other and from the rivals
     wanted: tuple[Effect, ...]
     rivals: tuple[Effect, ...]  #: effects that are only rivals
-    #: candidate runs, each under one condition; the retained ones first
-    runs: tuple[Run, ...]
-    #: positions in `runs` of those that are part of the plan in any case
-    retained: tuple[int, ...]
-    #: number, budget, set-ups and times; None while it waits for the plan of [plan],
-    #: whose readings it retains
-    rules: Rules | None
+    measurement: Measurement  #: with all set-ups
     location: Location
     table: GapDesignTable  #: [gap.design] as written
     timing: ConditionsTable  #: [gap.conditions] as written
+    #: whether it retains the readings of [plan], which are not known yet
+    follows_plan: bool
+    retained: tuple[Run, ...] = ()  #: runs that are part of the plan in any case
+    candidates: tuple[Run, ...] = ()  #: further runs, each under one condition
 
     @property
-    def follows_plan(self) -> bool:
-        """Whether it retains the readings of [plan], which are not known yet."""
-        return self.rules is None
+    def runs(self) -> tuple[Run, ...]:
+        """The retained runs, then the candidates."""
+        return (*self.retained, *self.candidates)
 
-    @property
-    def needed_rules(self) -> Rules:
-        """The rules of the choice. Raises LookupError while it waits for the plan."""
-        if self.rules is None:
-            raise LookupError("the plan of [plan] is not known")
-        return self.rules
-
-    def plan_runs(
-        self, plans: Mapping[str, ReferencePlan], measurement: Measurement
-    ) -> tuple[list[Run], list[Run]]:
-        """Runs of the retained plan, and candidates of others. Raises InputError."""
+    def with_runs(self, plans: Mapping[str, ReferencePlan]) -> GapDesignRequest:
+        """The request with the runs of plans. Raises InputError."""
         table, location = self.table, self.location
+        keep = None if self.follows_plan else table.keep
         if not plans:
             raise location.error(
                 "there are no runs to choose from",
@@ -488,29 +479,25 @@ class GapDesignRequest:
             )
         for i, name in enumerate(table.candidates):
             known_name(name, plans, location.path("candidates", i), "plan")
-        if table.keep is not None:
-            known_name(table.keep, plans, location.key("keep"), "plan")
-        if table.keep is not None and table.keep in table.candidates:
+        if keep is not None:
+            known_name(keep, plans, location.key("keep"), "plan")
+        if keep in table.candidates:
             problem = "a plan is kept or a candidate, not both"
-            raise location.key("keep").error(problem, "remove it from one", table.keep)
+            raise location.key("keep").error(problem, "remove it from one", keep)
 
         def runs(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
             prefix = name if len(plans) > 1 else ""
-            series = plans[name].series
-            return self._runs(series, prefix, conditions, measurement)
+            return self._runs(plans[name].series, prefix, conditions)
 
-        retained: list[Run] = []
-        if table.keep is not None:
-            retained = runs(table.keep, table.conditions[:1])
-        names = [name for name in table.candidates or plans if name != table.keep]
-        return retained, [run for name in names for run in runs(name, table.conditions)]
+        retained = [] if keep is None else runs(keep, table.conditions[:1])
+        names = [name for name in table.candidates or plans if name != keep]
+        candidates = [run for name in names for run in runs(name, table.conditions)]
+        return dataclasses.replace(
+            self, retained=tuple(retained), candidates=tuple(candidates)
+        )
 
     def _runs(
-        self,
-        plan: Sequence[Series],
-        prefix: str,
-        conditions: Sequence[RunCondition],
-        measurement: Measurement,
+        self, plan: Sequence[Series], prefix: str, conditions: Sequence[RunCondition]
     ) -> list[Run]:
         """Each run of a plan under each condition; the prefix starts their names.
 
@@ -527,7 +514,8 @@ class GapDesignRequest:
                 raise self.location.key("candidates").error(
                     "runs of recorded joints cannot be planned anew", "give commands"
                 )
-            seconds = reading_time(measurement.setups[series.setup], self.timing)
+            setup = self.measurement.setups[series.setup]
+            seconds = reading_time(setup, self.timing)
             for condition in conditions:
                 phrases = []
                 if condition.payload is not None:
@@ -548,24 +536,14 @@ class GapDesignRequest:
                 runs.append(run)
         return runs
 
-    def filled(
-        self, retained: Sequence[Run], free: Sequence[Run], measurement: Measurement
-    ) -> GapDesignRequest:
-        """The request with its runs and rules. Raises InputError for rules that fail."""
-        runs = (*retained, *free)
-        return dataclasses.replace(
-            self,
-            runs=runs,
-            retained=tuple(range(len(retained))),
-            rules=self._rules(runs, len(retained), measurement),
-        )
+    @functools.cached_property
+    def rules(self) -> Rules:
+        """For the runs added to the retained ones, whose set-ups are mounted.
 
-    def _rules(
-        self, runs: Sequence[Run], retained: int, measurement: Measurement
-    ) -> Rules:
-        """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
-        table, timing = self.table, self.timing
-        _check_number(table, len(runs) - retained, self.location)
+        Raises InputError for rules that fail.
+        """
+        table, timing, runs = self.table, self.timing, self.runs
+        _check_number(table, len(self.candidates), self.location)
         timed = [run for run in runs if "time" in run.condition]
         if timed and len(timed) < len(runs):
             raise self.location.key("conditions").error(
@@ -586,19 +564,17 @@ class GapDesignRequest:
             )
         setups = list(dict.fromkeys(run.setup for run in runs))
         owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-        mounting = [mounting_time(measurement.setups[s], timing) for s in setups]
+        mounting = [mounting_time(self.measurement.setups[s], timing) for s in setups]
         return design.Rules.build(
             size=table.runs,
             seconds=cost,
             budget=budget,
             setup=owner,
             mounting=np.array(mounting),
-            mounted=tuple(sorted({int(k) for k in owner[:retained]})),
+            mounted=tuple(sorted({int(k) for k in owner[: len(self.retained)]})),
         )
 
-    def with_plan(
-        self, series: Sequence[Series], remaining: float, measurement: Measurement
-    ) -> GapDesignRequest:
+    def with_plan(self, series: Sequence[Series], remaining: float) -> GapDesignRequest:
         """The request with the readings of [plan] retained.
 
         remaining    time that the plan does not use, s: the budget where the table gives
@@ -613,10 +589,10 @@ class GapDesignRequest:
                 remedy = "give budget_min, which is taken from the plan's time, or runs"
                 raise self.location.error(problem, remedy)
             table = replace(table, budget_min=remaining / MINUTE)
-        request = dataclasses.replace(self, table=table)
-        retained = request._runs(series, PLAN, table.conditions[:1], measurement)
-        filled = request.filled(retained, self.runs, measurement)
-        return dataclasses.replace(filled, table=self.table)
+        retained = tuple(self._runs(series, PLAN, table.conditions[:1]))
+        return dataclasses.replace(
+            self, table=table, follows_plan=False, retained=retained
+        )
 
 
 def gap_design_request(
@@ -641,12 +617,12 @@ def gap_design_request(
         and study.plan is not None
         and bool(study.plan.measurement)
     )
-    request = GapDesignRequest(wanted, rivals, (), (), None, location, table, timing)
+    request = GapDesignRequest(
+        wanted, rivals, measurement, location, table, timing, follows_plan
+    ).with_runs(plans)
     if not follows_plan:
-        return request.filled(*request.plan_runs(plans, measurement), measurement)
-    alone = replace(table, keep=None)
-    _, runs = dataclasses.replace(request, table=alone).plan_runs(plans, measurement)
-    return dataclasses.replace(request, runs=tuple(runs))
+        request.rules  # noqa: B018 - raises for rules that fail
+    return request
 
 
 def _effects(

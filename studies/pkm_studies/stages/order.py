@@ -6,7 +6,7 @@ several steps lead to.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -138,27 +138,18 @@ def planned_state(study: Study, seed: int | None) -> RunState:
     return plan_stages(select_design(RunState.start(study, seed, Silent(), [])))
 
 
-class VirtualFit(NamedTuple):
-    """A fit of a virtual machine's readings, its parameters (n,), SI, and its effects."""
-
-    state: Fitted
-    truth: Array
-    effects: list[dict[str, Any]]
-
-
 def scheduled(study: Study) -> Scheduled:
     """The state with the poses that a virtual machine is read at, as planned."""
     return plan_readings(planned_state(study, None))
 
 
-def virtual_fit(state: Scheduled) -> VirtualFit:
+def virtual_fit(state: Scheduled) -> Fitted:
     """Readings of the seed's virtual machine at the planned poses, fitted.
 
     Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
     """
-    virtual = simulate_readings(state, state.readings.series)
-    measured = promote(Measured, state, readings=virtual.readings)
-    return VirtualFit(fit_parameters(measured), virtual.truth, virtual.effects)
+    readings = simulate_readings(state, state.readings.series)
+    return fit_parameters(promote(Measured, state, readings=readings))
 
 
 def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:

@@ -399,18 +399,19 @@ def simulate_study(
     for path in (out, _truth_path(out)):
         files.check_new(path)
     state = order.planned_state(study, seed)
-    virtual = simulate_readings(state, planned_series(state))
-    readings, measurement = virtual.readings, state.measurement
+    readings = simulate_readings(state, planned_series(state))
+    measurement, parameters = state.measurement, readings.truth
+    assert parameters is not None  # a virtual machine has some
     covariates = readings.covariates
     if covariates is not None:
         covariates = covariates.drop(columns=["setup", "run", "order"])
     data = dataset.from_series(readings.series, readings.y, measurement, covariates)
     truth: dict[str, Any] = {
         p.name: {"value": float(value), "unit": p.unit}
-        for p, value in zip(measurement.parameters, virtual.truth, strict=True)
+        for p, value in zip(measurement.parameters, parameters, strict=True)
     }
-    if virtual.effects:
-        truth["effects"] = virtual.effects
+    if readings.effects:
+        truth["effects"] = readings.effects
     text = msgspec.json.format(msgspec.json.encode(truth), indent=1)
     files.write_all({out: dataset.to_csv(data), _truth_path(out): text})
     return out, _truth_path(out)

@@ -1,7 +1,6 @@
 """The steps that take readings, recorded or virtual; what a check finds before a run."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,14 +24,6 @@ from pkm_studies.stages.run_state import (
 
 
 # Steps that provide readings: recorded, or of a virtual machine.
-class SimulatedReadings(NamedTuple):
-    """Readings of a virtual machine, its parameters (n,), SI, and its acting effects."""
-
-    readings: MeasuredReadings
-    truth: Array
-    effects: list[dict[str, Any]]
-
-
 def take_readings(state: RunState) -> Scheduled:
     """Take recorded readings, simulate those of a virtual machine, or only plan them."""
     data = state.resolved.dataset
@@ -50,7 +41,7 @@ def plan_readings(state: RunState) -> Scheduled:
 
 def take_simulated(state: RunState) -> Measured:
     """Take readings of the virtual machine at the planned poses."""
-    readings = simulate_readings(state, planned_series(state)).readings
+    readings = simulate_readings(state, planned_series(state))
     return promote(Measured, state, readings=readings)
 
 
@@ -93,18 +84,12 @@ def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
 
 
 def _recorded(state: RunState, data: Dataset) -> MeasuredReadings:
-    held_out = state.resolved.held_out_setups
-    fitted = state.resolved.fitted_setups
-    if not fitted:
-        fitted = tuple(name for name in data.setups if name not in held_out)
-    fit, predict = data.take(fitted), data.take(held_out)
+    fit, held_out = state.resolved.fitted(data), None
+    if state.resolved.held_out_setups:
+        predict = data.take(state.resolved.held_out_setups)
+        held_out = HeldOut(predict.series, predict.y, predict.covariates)
     return MeasuredReadings(
-        series=fit.series,
-        y=fit.y,
-        covariates=fit.covariates,
-        held_out=HeldOut(predict.series, predict.y, predict.covariates)
-        if held_out
-        else None,
+        series=fit.series, y=fit.y, covariates=fit.covariates, held_out=held_out
     )
 
 
@@ -123,7 +108,7 @@ def planned_series(state: RunState) -> tuple[Series, ...]:
     )
 
 
-def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
+def simulate_readings(state: RunState, series: Sequence[Series]) -> MeasuredReadings:
     """Readings of the study's virtual machine, with the effects of [gap] if any."""
     try:
         return _simulated(state, series)
@@ -136,13 +121,12 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
         ) from error
 
 
-def _simulated(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
+def _simulated(state: RunState, series: Sequence[Series]) -> MeasuredReadings:
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
     if request is None:
         y = draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
-        taken = MeasuredReadings(series=tuple(series), y=y, truth=truth)
-        return SimulatedReadings(taken, truth, [])
+        return MeasuredReadings(series=tuple(series), y=y, truth=truth)
     from pkm_studies.stages.gap import diagnosis
 
     planned = diagnosis.empty_readings(measurement, series, request)
@@ -152,13 +136,13 @@ def _simulated(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
     errors = draw_errors(
         measurement, planned.series, state.rng(Stream.NOISE), exact.shape
     )
-    readings = MeasuredReadings(
+    return MeasuredReadings(
         series=planned.series,
         y=exact + errors,
         truth=truth,
+        effects=effects,
         covariates=planned.covariates,
     )
-    return SimulatedReadings(readings, truth, effects)
 
 
 def _true_parameters(state: RunState) -> Array:

@@ -60,6 +60,8 @@ class MeasuredReadings(Readings):
     y: Array  #: (N,) values, SI
     #: (n,) parameters of the virtual machine that gave them, SI
     truth: Array | None = None
+    #: effects that act on it, as its truth file has them
+    effects: Sequence[Mapping[str, Any]] = ()
     held_out: HeldOut | None = None  #: readings that are predicted, not fitted
 
 

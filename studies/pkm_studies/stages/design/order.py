@@ -28,21 +28,6 @@ class OrderedPlan:
     summary: WorkingOrder
 
 
-@dataclasses.dataclass(frozen=True)
-class _SetupOrder:
-    """One set-up's readings in order.
-
-    before, after   joint travel in the given order, and as ordered, s
-    """
-
-    series: Series
-    scheduled: Series
-    before: float
-    after: float
-    seconds: float  #: until the last reading ends
-    exact: bool  #: whether no order is shorter
-
-
 def order_plan(
     table: DesignTable,
     location: Location,
@@ -70,22 +55,24 @@ def order_plan(
         [measurement.setups[n] for n in names], rng
     )
     labelled = [_added_readings(s) if s.setup in mounted else s for s in series]
-    orders = {}
+    orders: dict[str, ReadingOrder] = {}
+    scheduled: dict[str, Series] = {}
+    ends = []
     for name in names:
-        parts = [s for s in labelled if s.setup == name]
-        orders[name] = _order_setup(measurement, name, parts, table, rng, location)
+        whole = _joined(measurement, name, [s for s in labelled if s.setup == name])
+        orders[name] = _order_readings(measurement, whole, table, rng)
+        scheduled[name], end = _add_references(orders[name], table.order, location)
+        ends.append(end)
     setups = [n for n in mounted if n not in names] + names
-    references = sum(len(o.scheduled) - len(o.series) for o in orders.values())
+    ordered = {name: o.ordered for name, o in orders.items()}
     summary = WorkingOrder(
         setups=setups,
-        before_s=sum(o.before for o in orders.values()),
-        after_s=sum(o.after for o in orders.values()),
-        exact=all(o.exact for o in orders.values()),
-        references=references,
-        minutes=(mounting + sum(o.seconds for o in orders.values())) / 60.0,
+        before_s=sum(o.as_given for o in orders.values()),
+        after_s=sum(o.path.length for o in orders.values()),
+        exact=all(o.path.exact for o in orders.values()),
+        references=sum(len(scheduled[n]) - len(ordered[n]) for n in names),
+        minutes=(mounting + sum(ends)) / 60.0,
     )
-    ordered = {name: o.series for name, o in orders.items()}
-    scheduled = {name: o.scheduled for name, o in orders.items()}
     return OrderedPlan(
         series=_joined_plan(setups, retained, ordered),
         scheduled=_joined_plan(setups, retained, scheduled),
@@ -120,42 +107,26 @@ def _added_readings(series: Series) -> Series:
     return dataclasses.replace(series, run=np.array(labels, dtype=np.str_))
 
 
-def _order_setup(
+def _order_readings(
     measurement: Measurement,
-    name: str,
-    parts: list[Series],
+    series: Series,
     table: DesignTable,
     rng: np.random.Generator,
-    location: Location,
-) -> _SetupOrder:
-    """The readings of one set-up by short joint travel, with thermal references."""
-    whole = _joined(measurement, name, parts)
-    setup = measurement.setups[name]
+) -> ReadingOrder:
+    """The readings of one set-up by short joint travel."""
+    setup = measurement.setups[series.setup]
     linear = float(units.to_si(table.order.speed_mm_s, "mm"))
     angular = float(units.to_si(table.order.speed_deg_s, "deg"))
-    speeds = [
-        linear if joint.unit == "m" else angular for joint in measurement.machine.joints
-    ]
+    joints = measurement.machine.joints
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
-    order = ReadingOrder.of_readings(
+    return ReadingOrder.of_readings(
         measurement,
-        whole,
-        speeds,
+        series,
+        [linear if joint.unit == "m" else angular for joint in joints],
         rng,
         from_home=table.order.start == "home",
         keeps_runs=table.whole_runs or relative or passes,
-    )
-    scheduled, seconds = order.ordered, order.seconds
-    if table.order.reference_every_min is not None:
-        scheduled, seconds = _add_references(order, table.order, location)
-    return _SetupOrder(
-        order.ordered,
-        scheduled,
-        order.as_given,
-        order.path.length,
-        seconds,
-        order.path.exact,
     )
 
 
@@ -190,11 +161,13 @@ def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series
 def _add_references(
     order: ReadingOrder, table: OrderTable, location: Location
 ) -> tuple[Series, float]:
-    """The readings with reference readings in between; when the last ends, s.
+    """The readings with reference readings in between, if any; when the last ends, s.
 
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
-    every = table.reference_every_min or 0.0
+    every = table.reference_every_min
+    if every is None:
+        return order.ordered, order.seconds
     setup = order.series.setup
     command = reference_command(order.measurement, setup, table, every, location)
     try:

@@ -199,7 +199,7 @@ def choose_runs(
     """
     wanted = RunsWanted(
         runs=design.runs,
-        retained=design.retained,
+        retained=tuple(range(len(design.retained))),
         wanted=design.wanted,
         rivals=design.rivals,
         share=design.table.share,
@@ -207,7 +207,7 @@ def choose_runs(
     )
     try:
         choice, series, covariates = gap.choose_runs(
-            measurement, wanted, design.needed_rules, planned, rng
+            measurement, wanted, design.rules, planned, rng
         )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
@@ -218,7 +218,7 @@ def choose_runs(
         timed = covariates.assign(time=_times(covariates, design))
     taken = gap.assemble(measurement, series, timed, gravity=request.gravity)
     chosen = ChosenRuns(
-        candidates=len(design.runs) - len(design.retained),
+        candidates=len(design.candidates),
         retained=len(design.retained),
         runs=[
             ChosenRun(run.setup, run.name, dict(run.condition), run.seconds)
@@ -240,7 +240,7 @@ def choose_runs(
 
 def _times(covariates: pd.DataFrame, design: GapDesignRequest) -> Array:
     """Time of each reading (n,), s, where the runs follow one another."""
-    rules = design.needed_rules
+    rules = design.rules
     mounting = dict.fromkeys((run.setup for run in design.runs), 0.0)
     if rules.setups is not None and rules.setups.seconds is not None:
         mounting = dict(zip(mounting, rules.setups.seconds.tolist(), strict=True))
@@ -576,7 +576,7 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     if design is not None and design.follows_plan:
         design = _add_plan(state, design)
     chosen = None
-    if design is not None and design.rules is not None:
+    if design is not None:
         used = state.resolved.measurement_with({run.setup for run in design.runs})
         fine |= _fine_units(used)
         chosen, poses = choose_runs(used, design, problem, request, rng)
@@ -595,9 +595,7 @@ def _add_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | 
     if plan is None or plan_request is None:
         return None
     remaining = plan_request.budget - units.factor("min") * plan.section.cost
-    used = {s.setup for s in plan.series} | {run.setup for run in request.runs}
-    measurement = state.resolved.measurement_with(used)
-    return request.with_plan(plan.series, remaining, measurement)
+    return request.with_plan(plan.series, remaining)
 
 
 def diagnose_gap(state: Fitted) -> Fitted:
