@@ -523,7 +523,12 @@ def read_nodes(task: ForecastTask, path: Path) -> tuple[Array, Array, Array]:
             for name, c in zip(names, machine.command, strict=True)
         ]
     )
-    _check_range(task, table, names, command)
+    for j, coordinate in enumerate(task.kinematics.machine.command):
+        slack = 1e-6 * (coordinate.upper - coordinate.lower)
+        low, high = coordinate.lower - slack, coordinate.upper + slack
+        for row in np.flatnonzero((command[:, j] < low) | (command[:, j] > high)):
+            remedy = "measure within the machine's range"
+            raise table.error(int(row), names[j], "out of the machine's range", remedy)
     errors, sigma = [], []
     pairs = zip(error_columns(driven, ERROR), error_columns(driven, SIGMA), strict=True)
     for k, (error, noise) in enumerate(pairs):
@@ -548,18 +553,6 @@ def _noise(table: CsvTable, name: str, unit: str, usual: float) -> Array:
         remedy = "give a standard deviation > 0, or leave the cell empty"
         raise table.error(int(k), name, "not positive", remedy)
     return np.asarray(np.where(np.isnan(values), usual, units.to_si(values, unit)))
-
-
-def _check_range(
-    task: ForecastTask, table: CsvTable, names: list[str], command: Array
-) -> None:
-    """Raises InputError for the first command out of the machine's range."""
-    for j, coordinate in enumerate(task.kinematics.machine.command):
-        slack = 1e-6 * (coordinate.upper - coordinate.lower)
-        low, high = coordinate.lower - slack, coordinate.upper + slack
-        for k in np.flatnonzero((command[:, j] < low) | (command[:, j] > high)):
-            remedy = "measure within the machine's range"
-            raise table.error(int(k), names[j], "out of the machine's range", remedy)
 
 
 def table_csv(kinematics: Kinematics, command: Array, joints: Array) -> str:

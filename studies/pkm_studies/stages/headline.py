@@ -14,7 +14,6 @@ from oed.result import (
     CorrectedSection,
     DesignSection,
     EstimateSection,
-    GapBeforeSection,
     GoodnessSection,
     IdentifiabilitySection,
     MachineInfo,
@@ -141,9 +140,12 @@ def sentences(
     Readings that are `recorded` have no design. `machine`: what earlier sessions give.
     """
     chosen = None if recorded else result.design
+    separation = []
+    if result.gap_before is not None and result.gap_before.chosen is not None:
+        separation = result.gap_before.words[:1]
     ranked = [
         *plan_sentences(result.plan),
-        *_separation(result.gap_before),
+        *separation,
         *_corrected(result.corrected),
         *([] if result.corrected is not None else _accuracy(result.judged_prediction)),
         *_wanted(result),
@@ -198,13 +200,6 @@ def earlier_sentences(machine: MachineInfo) -> list[str]:
             f" machine{'s' * (count > 1)}, not the tolerances."
         )
     return phrases
-
-
-def _separation(section: GapBeforeSection | None) -> list[str]:
-    """How well the runs of [gap.design] separate effects."""
-    if section is None or section.chosen is None:
-        return []
-    return section.words[:1]
 
 
 def _corrected(section: CorrectedSection | None) -> list[str]:

@@ -109,7 +109,17 @@ def write(
     texts = _result_texts(result, state)
     result = result_folder.write(folder, result, texts, further)
     if sheet:
-        _write_sheet(folder, result, state.plan)
+        poses = result.design.poses if result.design is not None else []
+        if state.plan is not None:
+            poses = [
+                reading
+                for series in state.plan.scheduled
+                for reading in planned_readings(state.plan.measurement, series)
+            ]
+        if poses:
+            from pkm_reports import write_sheet
+
+            write_sheet(result, poses, folder)
     return result
 
 
@@ -147,22 +157,6 @@ def _save_posterior(result: StudyResult, draws: Posterior, path: Path) -> Path:
     """Write the draws as NetCDF, for xarray and ArviZ."""
     attributes = {"study": result.study, "units": "SI", "seed": str(result.seed)}
     return posterior.save(draws, path, attributes)
-
-
-def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) -> None:
-    """Write the page for the machine: of a plan of stages, else of a design."""
-    poses = result.design.poses if result.design is not None else []
-    if plan is not None:
-        poses = [
-            reading
-            for series in plan.scheduled
-            for reading in planned_readings(plan.measurement, series)
-        ]
-    if not poses:
-        return
-    from pkm_reports import write_sheet
-
-    write_sheet(result, poses, folder)
 
 
 # Readings files of the sessions that a diagnosis rests on, kept with its result.
@@ -428,20 +422,16 @@ def _take(state: RunState, steps: Sequence[order.Step], out: Path) -> Any:
         try:
             state = step(state)
         except Exception as error:
-            _write_before(error, state, out)
+            if isinstance(state, Scheduled) and state.identifiability is not None:
+                if (out / result_folder.RESULT).is_file():
+                    safe_files.set_aside(out / result_folder.RESULT, "earlier")
+                state = state.add_warnings(f"a later part of this run failed: {error}")
+                _finish(state, out, report=False, sections=())
+                error.add_note(
+                    f"What was computed before is in {out / result_folder.RESULT}."
+                )
             raise
     return state
-
-
-def _write_before(error: Exception, state: RunState, out: Path) -> None:
-    """Write what there was before an error, which says so; an earlier result is set aside."""
-    if not isinstance(state, Scheduled) or state.identifiability is None:
-        return
-    if (out / result_folder.RESULT).is_file():
-        safe_files.set_aside(out / result_folder.RESULT, "earlier")
-    state = state.add_warnings(f"a later part of this run failed: {error}")
-    _finish(state, out, report=False, sections=())
-    error.add_note(f"What was computed before is in {out / result_folder.RESULT}.")
 
 
 def _finish(

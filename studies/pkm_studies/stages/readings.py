@@ -8,7 +8,6 @@ from oed.base import Array
 from oed.dataset import Dataset, tension_columns
 from oed.measurement import Series, draw_errors, draw_parameters, draw_readings
 from oed.mechanism import AssemblyError
-from oed.model import Machine
 from pkm_studies.base import Silent, Stream
 from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.run_state import (
@@ -48,8 +47,24 @@ def take_simulated(state: RunState) -> Measured:
 def take_recorded(state: RunState, data: Dataset) -> Measured:
     """Take recorded readings, with warnings about them."""
     state = _add_setups(state, data)
-    measured = promote(Measured, state, readings=_recorded(state, data))
-    warnings = _stretch_warnings(state.measurement.machine, data)
+    fit, held_out = state.resolved.fitted(data), None
+    if state.resolved.held_out_setups:
+        predict = data.take(state.resolved.held_out_setups)
+        held_out = HeldOut(predict.series, predict.y, predict.covariates)
+    recorded = MeasuredReadings(
+        series=fit.series, y=fit.y, covariates=fit.covariates, held_out=held_out
+    )
+    measured = promote(Measured, state, readings=recorded)
+    stiffness = state.measurement.machine.cable_stiffness or ()
+    columns = tension_columns(state.measurement.machine)
+    finite = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
+    absent = [c for c in finite if c not in data.columns]
+    warnings = []
+    if absent:  # of cables of known stiffness
+        names = ", ".join(f"{stem}_N" for stem in absent)
+        warnings = [
+            f"the stretch of cables is not corrected: there is no column {names}"
+        ]
     if data.dropped:
         warnings.append(f"{data.dropped} rows without a reading were left out")
     return measured.add_warnings(*warnings)
@@ -68,28 +83,6 @@ def _add_setups(state: RunState, data: Dataset) -> RunState:
     return state.add_warnings(
         f"the design has no readings of {', '.join(absent)}: it is not reported with"
         " these readings"
-    )
-
-
-def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
-    """Cables of known stiffness whose stretch no recorded tension corrects."""
-    stiffness = machine.cable_stiffness or ()
-    columns = tension_columns(machine)
-    finite = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
-    absent = [c for c in finite if c not in data.columns]
-    if not absent:
-        return []
-    names = ", ".join(f"{stem}_N" for stem in absent)
-    return [f"the stretch of cables is not corrected: there is no column {names}"]
-
-
-def _recorded(state: RunState, data: Dataset) -> MeasuredReadings:
-    fit, held_out = state.resolved.fitted(data), None
-    if state.resolved.held_out_setups:
-        predict = data.take(state.resolved.held_out_setups)
-        held_out = HeldOut(predict.series, predict.y, predict.covariates)
-    return MeasuredReadings(
-        series=fit.series, y=fit.y, covariates=fit.covariates, held_out=held_out
     )
 
 
@@ -181,21 +174,15 @@ def check_inputs(resolved: ResolvedStudy) -> list[str]:
 
         select.check_design(resolved)
         order.check_reference(resolved)
-    _check_forecast(state)
+    table = state.study.forecast
+    if table is not None:
+        from pkm_studies.stages.forecast import forecast_task, read_nodes
+
+        task = forecast_task(state.resolved, None, state.rng(Stream.FORECAST))
+        for name in filter(None, (table.readings, table.check)):
+            read_nodes(task, state.study.folder / name)
     _check_virtual_machine(state)
     return [] if _has_work(resolved) else [NOTHING_TO_RUN]
-
-
-def _check_forecast(state: RunState) -> None:
-    """Raises InputError for what [forecast] misstates, and for files of its nodes."""
-    table = state.study.forecast
-    if table is None:
-        return
-    from pkm_studies.stages.forecast import forecast_task, read_nodes
-
-    task = forecast_task(state.resolved, None, state.rng(Stream.FORECAST))
-    for name in filter(None, (table.readings, table.check)):
-        read_nodes(task, state.study.folder / name)
 
 
 def _check_virtual_machine(state: RunState) -> None:

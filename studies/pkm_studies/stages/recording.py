@@ -161,11 +161,15 @@ def _thermometers(
     plan: PlanToRecord, case: RecordedCase, effect: Effect
 ) -> Iterator[_Choice]:
     """Thermometers on each body that an effect depends on; on all legs together."""
-    parts = _bodies(effect, plan.measurement)
-    every = parts[-1] if parts else []
-    if not every:
+    needs = [part.strip() for need in effect.needs for part in need.split(" or ")]
+    named = [n.removeprefix(TEMPERATURE) for n in needs if n.startswith(TEMPERATURE)]
+    parts = [[body] for body in named]
+    if "leg1" in named:
+        legs = [f"leg{k + 1}" for k in range(len(plan.measurement.machine.joints))]
+        parts = [*([leg] for leg in legs), legs]
+    if not parts:
         return
-    warm = _measured(plan, effect, every)
+    warm = _measured(plan, effect, parts[-1])
     for bodies in parts:
         hidden = case.restrict_to_bodies(effect.name, bodies)
         if warm is not None and hidden.any():
@@ -182,16 +186,6 @@ def _bodies_text(bodies: Sequence[str]) -> str:
         f"leg {body.removeprefix('leg')}" if body != "leg" and "leg" in body else body
     )
     return f"a thermometer on {location if location != body else 'the ' + body}"
-
-
-def _bodies(effect: Effect, measurement: Measurement) -> list[list[str]]:
-    """Bodies of which an effect needs the temperature: one by one, and all legs."""
-    parts = [part.strip() for need in effect.needs for part in need.split(" or ")]
-    named = [p.removeprefix(TEMPERATURE) for p in parts if p.startswith(TEMPERATURE)]
-    if "leg1" not in named:
-        return [[body] for body in named]
-    legs = [f"leg{k + 1}" for k in range(len(measurement.machine.joints))]
-    return [*([leg] for leg in legs), legs]
 
 
 def _further(plan: PlanToRecord) -> Iterator[_Choice]:

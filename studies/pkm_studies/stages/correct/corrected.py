@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from oed import posterior, units
 from oed.accuracy import least_error
 from oed.base import Array
-from oed.checks import Goodness, goodness_of_delivered
+from oed.checks import goodness_of_delivered
 from oed.compensate import GridAxis
 from oed.corrected import CorrectedAccuracy, CorrectedEstimate
 from oed.effect_model import Effect
@@ -264,16 +264,6 @@ def _predicted(
     return replace(section, budget=lines)
 
 
-def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
-    """Why the corrected values should not go into a controller; none if they fit."""
-    if not goodness.is_bad(noise_is_a_guess=noise_is_a_guess):
-        return []
-    misfit = "no machine within its tolerances gives these readings"
-    if goodness.ratio is not None:
-        misfit = f"the residuals are {goodness.ratio:.1f} times the stated noise"
-    return [f"{misfit} even with the effects in the model"]
-
-
 def _coefficients(corrected: CorrectedEstimate) -> Iterator[tuple[str, EffectEstimate]]:
     records = coefficient_records(corrected)
     names, scales = corrected.coefficient_names, corrected.scales
@@ -503,7 +493,12 @@ def _add_section(
         corrected.estimate, chi2=goodness.chi2, dof=goodness.dof
     )
     corrected = dataclasses.replace(corrected, estimate=estimate)
-    warnings = misfit_warnings(goodness, noise_is_a_guess=state.noise_is_a_guess)
+    warnings = []
+    if goodness.is_bad(noise_is_a_guess=state.noise_is_a_guess):
+        misfit = "no machine within its tolerances gives these readings"
+        if goodness.ratio is not None:
+            misfit = f"the residuals are {goodness.ratio:.1f} times the stated noise"
+        warnings = [f"{misfit} even with the effects in the model"]
     section = corrected_section(state, corrected, accuracy, draws, used, warnings)
     if accuracy is not None:
         section = add_least_error(section, corrected, accuracy, plain)

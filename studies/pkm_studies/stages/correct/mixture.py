@@ -157,24 +157,6 @@ def _knowledge(
     )
 
 
-def _compensations(
-    belief: ParameterKnowledge, best: BestAnswer, sent: Mapping[str, Array]
-) -> dict[str, ParameterKnowledge]:
-    """What is known where each set of parameters is sent, the best one with effects too."""
-    compensations = {
-        name: dataclasses.replace(belief, sent=parameters)
-        for name, parameters in sent.items()
-    }
-    if best.corrected is not None and belief.effects is not None:
-        of_best = best.corrected.estimate.theta[best.corrected.parameters :]
-        corrected = np.zeros(belief.effects.draws.shape[1])
-        corrected[-len(of_best) :] = of_best
-        compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
-            compensations[CompensationName.BEST], corrected=corrected
-        )
-    return compensations
-
-
 def _add_accuracy(
     section: MixtureSection,
     belief: ParameterKnowledge,
@@ -195,11 +177,19 @@ def _add_accuracy(
     }
     if np.array_equal(best.plain, best.theta):
         del sent[CompensationName.PLAIN]
+    compensations = {
+        name: dataclasses.replace(belief, sent=parameters)
+        for name, parameters in sent.items()
+    }
+    if best.corrected is not None and belief.effects is not None:
+        of_best = best.corrected.estimate.theta[best.corrected.parameters :]
+        corrected = np.zeros(belief.effects.draws.shape[1])
+        corrected[-len(of_best) :] = of_best
+        compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
+            compensations[CompensationName.BEST], corrected=corrected
+        )
     judged = knowledge.compared(
-        _compensations(belief, best, sent),
-        use.command,
-        use.reference,
-        np.random.default_rng(seed),
+        compensations, use.command, use.reference, np.random.default_rng(seed)
     )
     predicted = {name: result.prediction for name, result in judged.items()}
     before = predicted[CompensationName.BEST].before
@@ -284,11 +274,6 @@ def _covariance(measurement: Measurement, mixture: AnswerMixture) -> list[list[f
 
 def mixture_sentences(section: MixtureSection) -> list[str]:
     """What the answers are, how far they set the parameters apart, what to compensate."""
-    sentences = [_answers_text(section), *_parameters_text(section)]
-    return [*sentences, *_choices_text(section)]
-
-
-def _answers_text(section: MixtureSection) -> str:
     named = [
         f"{_name(answer)} ({format_probability(answer.probability)})"
         for answer in section.answers
@@ -297,7 +282,22 @@ def _answers_text(section: MixtureSection) -> str:
     if section.rest > ROUNDING_PROBABILITY:
         rest = format_probability(section.rest)
         sentence += f"; others, {rest} together, are left out"
-    return f"{sentence}."
+    sentences = [f"{sentence}.", *_parameters_text(section)]
+    if section.prediction is None:
+        return sentences
+    unit = section.prediction.unit
+    components = section.prediction.components.items()
+    driven = [name for name, component in components if component.compensatable]
+    parts = []
+    for choice in section.choices:
+        if choice.name in (
+            section.sent,
+            CompensationName.BEST_WITH_EFFECTS,
+            CompensationName.NOTHING,
+        ):
+            figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
+            parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
+    return [*sentences, f"Expected rms error over all hypotheses: {'; '.join(parts)}."]
 
 
 def _name(answer: MixedAnswer) -> str:
@@ -321,25 +321,6 @@ def _parameters_text(section: MixtureSection) -> list[str]:
         f"The hypotheses disagree most on {name}: {100.0 * between[name]:.0f} % of its"
         " variance is between them."
     ]
-
-
-def _choices_text(section: MixtureSection) -> list[str]:
-    """Expected errors of the compensations, in one sentence."""
-    if section.prediction is None:
-        return []
-    unit = section.prediction.unit
-    components = section.prediction.components.items()
-    driven = [name for name, component in components if component.compensatable]
-    parts = []
-    for choice in section.choices:
-        if choice.name in (
-            section.sent,
-            CompensationName.BEST_WITH_EFFECTS,
-            CompensationName.NOTHING,
-        ):
-            figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
-            parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
-    return [f"Expected rms error over all hypotheses: {'; '.join(parts)}."]
 
 
 #: why no table holds an effect that varies faster than its commands

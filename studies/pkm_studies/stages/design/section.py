@@ -16,7 +16,6 @@ from oed.result import (
     IdentifiabilitySection,
     PlannedReading,
     PlanScore,
-    PolishSummary,
     RobustSummary,
 )
 from oed.text import guaranteed_percent
@@ -252,7 +251,15 @@ def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
     what = f"{len(chosen.choice.indices)} of {chosen.candidates} {kind}"
     text = _certificate(chosen, what)
     text += _directions(chosen, shared)
-    text += _shortfall(chosen)
+    table = chosen.criteria.table
+    count = len(chosen.choice.indices)
+    wanted = table.size
+    shortfall = ""
+    if wanted is not None and count < wanted and table.budget_min is None:
+        shortfall = (
+            f"; the study asks for {wanted}, but the rules leave no room for more"
+        )
+    text += shortfall
     if chosen.relaxed is not None:
         text += ": the largest of the relaxation's weights"
     if chosen.retained:
@@ -307,16 +314,6 @@ def _directions(chosen: ChosenDesign, shared: int) -> str:
             " million times worse than the best one: they count as not seen"
         )
     return text
-
-
-def _shortfall(chosen: ChosenDesign) -> str:
-    """A remark where the rules do not allow as many readings as the study asks for."""
-    table = chosen.criteria.table
-    count = len(chosen.choice.indices)
-    wanted = table.size
-    if wanted is None or count >= wanted or table.budget_min is not None:
-        return ""
-    return f"; the study asks for {wanted}, but the rules leave no room for more"
 
 
 def _robust_certificate(robust: RobustSummary, what: str) -> str:
@@ -416,20 +413,16 @@ def select_design(state: RunState) -> RunState:
     design = select.select_design(state.resolved, state.rng(Stream.DESIGN))
     if design is None:
         return state
-    return state.replace(
-        design=design, planned=design.scheduled, measurement=design.measurement
-    ).add_warnings(*_moved_setups(design.polish))
-
-
-def _moved_setups(polish: PolishSummary | None) -> list[str]:
     warnings = []
-    for name, settings in (polish.setups if polish else {}).items():
+    for name, settings in (design.polish.setups if design.polish else {}).items():
         values = ", ".join(f"{key} = {value:.6g}" for key, value in settings.items())
         warnings.append(
             f"polishing moved set-up {name}: write {values} into its table before you"
             " fit its readings"
         )
-    return warnings
+    return state.replace(
+        design=design, planned=design.scheduled, measurement=design.measurement
+    ).add_warnings(*warnings)
 
 
 def plan_stages(state: RunState) -> RunState:

@@ -201,6 +201,9 @@ def polish_plan(
     travel = None
     if table.limits is not None and table.limits.travel_mm is not None:
         travel = float(units.to_si(table.limits.travel_mm, "mm"))
+    prior = prior_information(measurement) if table.prior else None
+    if retained:
+        prior = criteria.information(measurement, retained)
     try:
         polished = polish_readings(
             measurement,
@@ -208,7 +211,7 @@ def polish_plan(
             criteria.parameters_criterion(name, measurement),
             table.scaling,
             free=ranges,
-            prior=_polish_information(criteria, measurement),
+            prior=prior,
             travel=travel,
             clearance=asked.clearance,
             iterations=asked.iterations,
@@ -220,7 +223,18 @@ def polish_plan(
         name, polished.measurement, [*retained, *polished.series]
     )
     if after > before:
-        moved = _moved_settings(polished.measurement, ranges)
+        # where each free setting stands now, by set-up and column
+        moved: dict[str, dict[str, float]] = {}
+        for setup_name, limits in ranges.items():
+            setup = polished.measurement.setups[setup_name]
+            unit = {s.name: s.unit for s in setup.instrument.settings}
+            tool = zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)
+            values = {**setup.settings, **dict(tool)}
+            moved[setup_name] = {}
+            for setting in limits:
+                si = unit.get(setting, "m")
+                key, stands = field(setting, values[setting], si)
+                moved[setup_name][key] = stands
         summary = PolishSummary(value, new_value, polished.summary, moved)
         return PolishedPlan(polished.measurement, polished.series, summary)
     phrase = "polishing does not improve the criterion"
@@ -243,33 +257,6 @@ def _free_ranges(
             raise field.error(problem, "move another set-up")
     used = {s.setup for s in series}
     return {name: limits for name, limits in ranges.items() if name in used}
-
-
-def _polish_information(
-    criteria: StudyCriteria, measurement: Measurement
-) -> Array | None:
-    """Information (n, n) before the polished readings: retained ones, tolerances."""
-    if criteria.request.retained:
-        return criteria.information(measurement, criteria.request.retained)
-    return prior_information(measurement) if criteria.table.prior else None
-
-
-def _moved_settings(
-    measurement: Measurement, ranges: CommandRanges
-) -> dict[str, dict[str, float]]:
-    """Where each free setting stands now, by set-up and column."""
-    moved: dict[str, dict[str, float]] = {}
-    for name, limits in ranges.items():
-        setup = measurement.setups[name]
-        unit = {s.name: s.unit for s in setup.instrument.settings}
-        tool = zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)
-        values = {**setup.settings, **dict(tool)}
-        moved[name] = {}
-        for setting in limits:
-            si = unit.get(setting, "m")
-            key, value = field(setting, values[setting], si)
-            moved[name][key] = value
-    return moved
 
 
 # Predicts accuracy against the number of readings, and the fewest that suffice.
@@ -535,7 +522,11 @@ def select_design(
     problem, criteria = search.problem, search.criteria
     series = problem.candidates.readings_of(choice.indices)
     retained = criteria.request.retained
-    measurement = _mounted(resolved, [*retained, *series])
+    readings = resolved.study.readings
+    recorded = readings is not None and not readings.simulate
+    measurement = resolved.measurement
+    if resolved.dataset is None and not recorded:
+        measurement = resolved.measurement_with({s.setup for s in [*retained, *series]})
     polished = polish_plan(criteria, measurement, series)
     measurement, series = polished.measurement, polished.series
     ordered = order.order_plan(
@@ -602,15 +593,6 @@ def _compared(
         )
         comparisons.append(comparison)
     return tuple(comparisons)
-
-
-def _mounted(resolved: ResolvedStudy, series: list[Series]) -> Measurement:
-    """The machine with the plan's set-ups, or with all where readings are recorded."""
-    readings = resolved.study.readings
-    recorded = readings is not None and not readings.simulate
-    if resolved.dataset is not None or recorded:
-        return resolved.measurement
-    return resolved.measurement_with({s.setup for s in series})
 
 
 def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:

@@ -54,7 +54,7 @@ from pkm_studies.describe import displayed_command
 from pkm_studies.resolve import GapRequest, ResolvedStudy
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.gap.diagnosis import covariates_of, rms_by_channel
-from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
+from pkm_studies.stages.run_state import Fitted, Measured, promote
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -315,8 +315,22 @@ def estimate_section(
     rounds = [
         {"rms_before": r.rms_before, "rms_after": r.rms_after} for r in estimate.stages
     ]
+    parameters = {}
+    for k, p in enumerate(measurement.parameters):
+        if estimate.prior_sd[k] == 0.0:
+            continue
+        unit = units.display(p.unit)
+        parameters[p.name] = ParameterEstimate(
+            value=units.number(estimate.theta[k], unit),
+            sd=units.number(estimate.sd[k], unit),
+            unit=unit,
+            nominal=units.number(p.mean, unit),
+            prior_sd=units.number(estimate.prior_sd[k], unit),
+            identified=_how_well(float(estimate.shrinkage[k])),
+            truth=None if truth is None else units.number(truth[k], unit),
+        )
     return EstimateSection(
-        parameters=_parameters(measurement, estimate, truth),
+        parameters=parameters,
         rms_before=rms_by_channel(before, names),
         rms_after=rms_by_channel(after, names),
         units=fine,
@@ -356,26 +370,6 @@ def _commands(
     commands = np.unique(np.vstack([s.command for s in series]), axis=0)
     finite = commands[np.isfinite(commands).all(axis=1)]
     return [displayed_command(measurement.machine, c) for c in finite]
-
-
-def _parameters(
-    measurement: Measurement, estimate: Estimate, truth: Array | None
-) -> dict[str, ParameterEstimate]:
-    parameters = {}
-    for k, p in enumerate(measurement.parameters):
-        if estimate.prior_sd[k] == 0.0:
-            continue
-        unit = units.display(p.unit)
-        parameters[p.name] = ParameterEstimate(
-            value=units.number(estimate.theta[k], unit),
-            sd=units.number(estimate.sd[k], unit),
-            unit=unit,
-            nominal=units.number(p.mean, unit),
-            prior_sd=units.number(estimate.prior_sd[k], unit),
-            identified=_how_well(float(estimate.shrinkage[k])),
-            truth=None if truth is None else units.number(truth[k], unit),
-        )
-    return parameters
 
 
 def _covariance(measurement: Measurement, estimate: Estimate) -> list[list[float]]:
@@ -553,21 +547,15 @@ def check_readings(state: Measured) -> Measured:
         state = state.add_warnings(*extrapolated_states(used.states, covariates))
     if not checked.set_aside:
         return state
-    return state.replace(readings=_drop_readings(readings, checked))
-
-
-def _drop_readings(
-    readings: MeasuredReadings, checked: checks.CheckedSession
-) -> MeasuredReadings:
-    """The readings that are not set aside, with their covariates."""
     rest = checked.session.without(checked.set_aside)
-    covariates = readings.covariates
-    if covariates is not None:
-        used = np.setdiff1d(np.arange(len(covariates)), checked.set_aside)
-        covariates = covariates.iloc[used].reset_index(drop=True)
-    return dataclasses.replace(
-        readings, series=rest.series, y=rest.y, covariates=covariates
+    rows = readings.covariates
+    if rows is not None:
+        left = np.setdiff1d(np.arange(len(rows)), checked.set_aside)
+        rows = rows.iloc[left].reset_index(drop=True)
+    readings = dataclasses.replace(
+        readings, series=rest.series, y=rest.y, covariates=rows
     )
+    return state.replace(readings=readings)
 
 
 # Steps that fit the readings: least squares, then the posterior.

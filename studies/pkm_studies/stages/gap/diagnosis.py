@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -13,14 +12,7 @@ from msgspec.structs import replace
 from oed import dataset, gap, units
 from oed.base import Array
 from oed.effect_model import Column, Effect, State
-from oed.gap import (
-    Diagnosis,
-    GapProblem,
-    Run,
-    RunsWanted,
-    SecondVisit,
-    propose_second_visit,
-)
+from oed.gap import Diagnosis, GapProblem, RunsWanted, SecondVisit, propose_second_visit
 from oed.gap import states as states_of
 from oed.measurement import Measurement, Series
 from oed.result import (
@@ -43,7 +35,7 @@ from pkm_studies.resolve import ActingEffect, GapDesignRequest, GapRequest, comm
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.gap import sentences
 from pkm_studies.stages.gap.sentences import plain_name
-from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT
+from pkm_studies.stages.run_state import Fitted, ScheduledT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,7 +101,18 @@ def exact_readings(
     for k, entry in enumerate(request.acting):
         others = acting[:k] + acting[k + 1 :]
         without = gap.exact_readings(measurement, series, truth, states, others)
-        rms = _rms_by_channel(y - without, planned)
+        channels = [
+            channel
+            for s in planned.series
+            for _ in range(len(s))
+            for channel in planned.layouts[s.setup].channels
+        ]
+        channel_names = np.array([c.name for c in channels])
+        fine = {c.name: units.FINE[c.unit] for c in channels}
+        rms = {
+            f"{name}_{fine[name]}": float(units.from_si(size, fine[name]))
+            for name, size in rms_by_channel(y - without, channel_names).items()
+        }
         priors = _priors(entry, states)
         coefficients = {
             name: {"value": factor * priors[name].sd, "prior_sds": factor}
@@ -164,22 +167,6 @@ def _factors(
     if acting.draw:
         values = rng.standard_normal(len(textbook))
     return {n: acting.size * float(v) for n, v in zip(textbook, values, strict=True)}
-
-
-def _rms_by_channel(change: Array, planned: Dataset) -> dict[str, float]:
-    """Root mean square of a change (N,) of the readings, by channel, in fine units."""
-    channels = [
-        channel
-        for s in planned.series
-        for _ in range(len(s))
-        for channel in planned.layouts[s.setup].channels
-    ]
-    names = np.array([c.name for c in channels])
-    fine = {c.name: units.FINE[c.unit] for c in channels}
-    return {
-        f"{name}_{fine[name]}": float(units.from_si(rms, fine[name]))
-        for name, rms in rms_by_channel(change, names).items()
-    }
 
 
 # Chooses the runs of [gap.design], which separate the wanted effects best.
@@ -393,36 +380,6 @@ DECISIVE_PROBABILITY = 0.8  #: probability from which the visit is expected to d
 MIN_GAIN = 0.02  #: gain in probability below which the visit is not worth its time
 
 
-@dataclasses.dataclass(frozen=True)
-class VisitAdvice:
-    """The record, and the readings to fill in as CSV."""
-
-    record: SecondVisitRecord
-    csv: str
-
-
-def advise_second_visit(
-    diagnosis: Diagnosis,
-    request: GapRequest,
-    further: Sequence[Run],
-    rng: np.random.Generator,
-) -> VisitAdvice | None:
-    """The second visit that a diagnosis calls for; None where none helps.
-
-    `further` are runs that are possible beside those that were read.
-    """
-    conditions = request.conditions
-    values = {
-        "feed": [v * units.MM_PER_MIN for v in _values(conditions.feed_mm_min)],
-        "payload": _values(conditions.payload),
-    }
-    visit = propose_second_visit(diagnosis, request.effects, rng, values, further)
-    if visit is None or visit.probability_after < visit.probability_now + MIN_GAIN:
-        return None
-    csv = poses_csv(diagnosis.problem.measurement, visit.series, visit.covariates)
-    return VisitAdvice(_record(visit), csv)
-
-
 def _values(stated: float | Sequence[float] | None) -> list[float]:
     """A condition's values, of which a table states one, several or none."""
     if stated is None:
@@ -432,16 +389,17 @@ def _values(stated: float | Sequence[float] | None) -> list[float]:
 
 def add_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
     """The diagnosis with the visit, which stands first in its advice."""
-    steps = [visit.words[0], *gap.next]
-    return replace(gap, second_visit=visit, next=steps)
+    return replace(gap, second_visit=visit, next=[visit.words[0], *gap.next])
 
 
 def _record(visit: SecondVisit) -> SecondVisitRecord:
+    runs = []
+    for run in visit.runs:
+        # without its time: the visit may be at any
+        condition = {name: v for name, v in run.condition.items() if name != "time"}
+        runs.append(ChosenRun(run.setup, run.name, condition, run.seconds))
     record = SecondVisitRecord(
-        runs=[
-            ChosenRun(run.setup, run.name, _untimed(run.condition), run.seconds)
-            for run in visit.runs
-        ],
+        runs=runs,
         poses=[len(run.command) for run in visit.runs],
         probability_now=visit.probability_now,
         probability_after=visit.probability_after,
@@ -449,11 +407,6 @@ def _record(visit: SecondVisit) -> SecondVisitRecord:
         inseparable=list(visit.inseparable),
     )
     return replace(record, words=second_visit_sentences(record))
-
-
-def _untimed(condition: Mapping[str, float]) -> dict[str, float]:
-    """A condition without its time: the visit may be at any."""
-    return {name: value for name, value in condition.items() if name != "time"}
 
 
 def second_visit_sentences(visit: SecondVisitRecord) -> list[str]:
@@ -574,7 +527,12 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     fine = _fine_units(state.measurement)
     design = state.resolved.gap_design
     if design is not None and design.follows_plan:
-        design = _add_plan(state, design)
+        plan, plan_request = state.plan, state.resolved.plan
+        if plan is None or plan_request is None:
+            design = None
+        else:
+            remaining = plan_request.budget - units.factor("min") * plan.section.cost
+            design = design.with_plan(plan.series, remaining)
     chosen = None
     if design is not None:
         used = state.resolved.measurement_with({run.setup for run in design.runs})
@@ -587,15 +545,6 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     if chosen is not None:
         words = [_gain(chosen), *_findings("The chosen runs", chosen.table)]
     return state.add_sections(gap_before=GapBeforeSection(table, fine, chosen, words))
-
-
-def _add_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
-    """The request with the plan's readings retained; None where there is no plan."""
-    plan, plan_request = state.plan, state.resolved.plan
-    if plan is None or plan_request is None:
-        return None
-    remaining = plan_request.budget - units.factor("min") * plan.section.cost
-    return request.with_plan(plan.series, remaining)
 
 
 def diagnose_gap(state: Fitted) -> Fitted:
@@ -614,11 +563,7 @@ def diagnose_gap(state: Fitted) -> Fitted:
 
 def diagnose_always(state: Fitted) -> Fitted:
     """Diagnose by [gap], or by its defaults where the study has none."""
-    return _diagnose(state, state.resolved.diagnosed)
-
-
-def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
-    readings = state.readings
+    request, readings = state.resolved.diagnosed, state.readings
     if state.checked is not None and state.checked.mistaken:
         reason = (
             "There is no diagnosis: a mistake in the readings explains their misfit"
@@ -652,8 +597,14 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     design = state.resolved.gap_design
     further = () if design is None else design.runs
     rng = state.rng(Stream.VISIT)
-    visit = advise_second_visit(diagnosis, request, further, rng)
-    if visit is None:
+    conditions = request.conditions
+    values = {
+        "feed": [v * units.MM_PER_MIN for v in _values(conditions.feed_mm_min)],
+        "payload": _values(conditions.payload),
+    }
+    visit = propose_second_visit(diagnosis, request.effects, rng, values, further)
+    if visit is None or visit.probability_after < visit.probability_now + MIN_GAIN:
         return state.add_sections(gap=section)
-    section = add_visit(section, visit.record)
-    return state.replace(visit_poses=visit.csv).add_sections(gap=section)
+    csv = poses_csv(diagnosis.problem.measurement, visit.series, visit.covariates)
+    section = add_visit(section, _record(visit))
+    return state.replace(visit_poses=csv).add_sections(gap=section)

@@ -294,16 +294,6 @@ def closure_sentences(gap: GapSection) -> list[str]:
     return phrases
 
 
-def unproven_closure(gap: GapSection) -> str:
-    """Advice where no held-out reading confirms what is named."""
-    harms = [closure.p_worse for closure in gap.closure if closure.p_worse is not None]
-    chance = f" (probability {format_probability(max(harms))})" if harms else ""
-    return (
-        "Measure before you exchange or correct anything: on held-out readings the"
-        f" correction may do harm{chance}."
-    )
-
-
 def _closure(closure: ClosureRecord, value: float) -> str:
     """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
     digits = _digits(closure.low)
@@ -385,6 +375,12 @@ def add_sentences(gap: GapSection) -> GapSection:
     """The diagnosis with its findings and next steps as sentences."""
     named = [c for c in gap.coefficients if c.effect in gap.selected]
     checks = {name: note.check for name, note in gap.about.items()}
+    rough = []
+    if gap.effective_laws is not None and gap.effective_laws < FEW_LAWS:
+        rough = [
+            "The probabilities are rough: of the noise laws that were tried one alone suits"
+            " these readings."
+        ]
     findings = [
         *_verdict(gap),
         *_sizes(gap),
@@ -392,7 +388,7 @@ def add_sentences(gap: GapSection) -> GapSection:
         *_resemblance(gap),
         *_left_out(gap),
         *second_explanation(gap),
-        *_few_laws(gap),
+        *rough,
         *place_sentences(gap),
         *closure_sentences(gap),
         *_untested(gap),
@@ -567,30 +563,16 @@ def _resemblance(gap: GapSection) -> list[str]:
     if not likely:
         return []
     parts = [f"{form} (probability {format_probability(p)})" for form, p in likely]
-    return [
-        f"What no known effect explains most resembles: {'; or '.join(parts)}.",
-        *_nearest(gap),
-    ]
-
-
-def _nearest(gap: GapSection) -> list[str]:
-    """Known causes of the kind of what is unknown."""
     named = {*gap.selected, *gap.left_out}
     others = [plain_name(name) for name in gap.nearest if name not in named]
-    if not others:
-        return []
+    nearest = []
+    if others:
+        nearest = [
+            f"Known causes of that kind: {join_words(others)}; but the form is another one."
+        ]
     return [
-        f"Known causes of that kind: {join_words(others)}; but the form is another one."
-    ]
-
-
-def _few_laws(gap: GapSection) -> list[str]:
-    """That the probabilities are rough, where few of the tried noise laws count."""
-    if gap.effective_laws is None or gap.effective_laws >= FEW_LAWS:
-        return []
-    return [
-        "The probabilities are rough: of the noise laws that were tried one alone suits"
-        " these readings."
+        f"What no known effect explains most resembles: {'; or '.join(parts)}.",
+        *nearest,
     ]
 
 
@@ -615,7 +597,15 @@ def _next_steps(gap: GapSection) -> list[str]:
     steps = [_plain_text(text, gap.about) for text in gap.next]
     lows = [closure.low for closure in gap.closure if closure.low is not None]
     if gap.selected and lows and max(lows) < 0.0:
-        steps.insert(0, unproven_closure(gap))
+        harms = [
+            closure.p_worse for closure in gap.closure if closure.p_worse is not None
+        ]
+        chance = f" (probability {format_probability(max(harms))})" if harms else ""
+        advice = (
+            "Measure before you exchange or correct anything: on held-out readings the"
+            f" correction may do harm{chance}."
+        )
+        steps.insert(0, advice)
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
     if places:
         steps.append(f"Look first at {join_words(places)}.")
@@ -631,18 +621,16 @@ def _next_steps(gap: GapSection) -> list[str]:
         if note.remedy and note.remedy not in named_steps:
             lead = f"If it is {effect}" if doubtful else f"Remedy for {effect}"
             steps.append(f"{lead}: {note.remedy}.")
-    if _asks_for_readings(gap):
+    asks_for_readings = gap.visible_probability > GapSection.DOUBT_PROBABILITY
+    if gap.verdict != "none":
+        open_verdicts = ("class", "unknown", "scatter")
+        unsure = gap.answers[0].probability < GapSection.SURE_PROBABILITY
+        asks_for_readings = gap.verdict in open_verdicts or (
+            gap.effect_reported and unsure
+        )
+    if asks_for_readings:
         steps.append(SECOND_SESSION)
     return list(dict.fromkeys(steps))
-
-
-def _asks_for_readings(gap: GapSection) -> bool:
-    """Whether further readings would make the answer clearer."""
-    if gap.verdict == "none":
-        return gap.visible_probability > GapSection.DOUBT_PROBABILITY
-    open_verdicts = ("class", "unknown", "scatter")
-    unsure = gap.answers[0].probability < GapSection.SURE_PROBABILITY
-    return gap.verdict in open_verdicts or (gap.effect_reported and unsure)
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:

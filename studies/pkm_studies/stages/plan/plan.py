@@ -114,7 +114,11 @@ def compare_sequence(
     task: PlanTask, names: Sequence[str], search: PlanSearchResult
 ) -> result.SequenceRecord:
     """A sequence beside the best plan of its time. Raises InputError for too little."""
-    sequence = predict_sequence(task, names)
+    options = [task.request.option(name) for name in names]
+    # all candidates of each measurement, one measurement after the other
+    sequence = task.predict(
+        [(option, np.arange(len(option.candidates))) for option in options]
+    )
     seconds = sequence.seconds
     if seconds > task.budget * (1.0 + SAME_VALUE):
         sequence = _keep_within_budget(task, names, search)
@@ -149,14 +153,6 @@ def compare_sequence(
         gain=_gain(task, sequence, best),
         bound=bound,
         words=_sentence(task, sequence, best, bound, seconds),
-    )
-
-
-def predict_sequence(task: PlanTask, names: Sequence[str]) -> StagePlan:
-    """All candidates of each measurement, one measurement after the other."""
-    options = [task.request.option(name) for name in names]
-    return task.predict(
-        [(option, np.arange(len(option.candidates))) for option in options]
     )
 
 
@@ -340,7 +336,15 @@ def search_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan
 
 def why_not(task: PlanTask, plan: StagePlan, best: StagePlan) -> str:
     """What speaks against a plan: lost readings, missed targets, accuracy, time."""
-    reasons = _lost_readings(plan, best)
+    losses = [(stage.lost_share, stage.option.name) for stage in plan.stages]
+    share, name = max(losses, default=(0.0, ""))
+    usual = max((stage.lost_share for stage in best.stages), default=0.0)
+    reasons = []  # readings that it loses as it lacks a rough stage
+    if share > MIN_LOST and share > 2.0 * usual:
+        reasons = [
+            f"a rough stage is missing: {percent(share)} of the readings of {name} would"
+            " be lost"
+        ]
     if task.goal.has_targets and plan.value > 1.0:
         covariance = task.covariance_after(plan)
         worst = int(np.argmax(task.goal.accuracy(covariance)))
@@ -349,19 +353,6 @@ def why_not(task: PlanTask, plan: StagePlan, best: StagePlan) -> str:
     accuracy = _accuracy_difference(plan, best)
     time = time_difference(plan.seconds, best.seconds)
     return "; ".join([*reasons, f"{accuracy} {time}"])
-
-
-def _lost_readings(plan: StagePlan, best: StagePlan) -> list[str]:
-    """Whether a plan loses readings because it lacks a rough stage."""
-    losses = [(stage.lost_share, stage.option.name) for stage in plan.stages]
-    share, name = max(losses, default=(0.0, ""))
-    usual = max((stage.lost_share for stage in best.stages), default=0.0)
-    if share <= MIN_LOST or share <= 2.0 * usual:
-        return []
-    return [
-        f"a rough stage is missing: {percent(share)} of the readings of {name} would"
-        " be lost"
-    ]
 
 
 def _accuracy_difference(plan: StagePlan, best: StagePlan) -> str:
@@ -475,7 +466,13 @@ def drop_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
 def describe_stop(task: PlanTask, search: PlanSearchResult, best: StagePlan) -> str:
     """Where the plan stops, and what the next stage would gain."""
     if best is not search.best:
-        return _small_stages(task, search.best, best)
+        longer_gain = percent(1.0 - search.best.value / best.value)
+        names = ", then ".join(search.best.names)
+        return (
+            f"after these {len(best.stages)}; {len(search.best.stages)} stages ({names}) would"
+            f" make errors {longer_gain} smaller, less than the {percent(task.table.worth)} that"
+            " the study asks for."
+        )
     if search.next_gain is None:
         return "after the last stage; every measurement of the list is in the plan."
     name, gain = search.next_gain
@@ -496,16 +493,6 @@ def describe_stop(task: PlanTask, search: PlanSearchResult, best: StagePlan) -> 
     if has_time and len(best.stages) >= task.table.stages:
         return f"{text}, but the study allows {task.table.stages} stages."
     return f"{text}, but no time remains for it."
-
-
-def _small_stages(task: PlanTask, longer: StagePlan, best: StagePlan) -> str:
-    gain = percent(1.0 - longer.value / best.value)
-    names = ", then ".join(longer.names)
-    return (
-        f"after these {len(best.stages)}; {len(longer.stages)} stages ({names}) would"
-        f" make errors {gain} smaller, less than the {percent(task.table.worth)} that"
-        " the study asks for."
-    )
 
 
 # Phrases about plans: shares, factors and differences of time.
@@ -565,21 +552,15 @@ def plan_sentences(section: result.PlanSection | None) -> list[str]:
         lines.append("The target accuracy is reached.")
     elif section.goal:
         lines.append(" ".join(section.needs))
-    lines += bound_sentences(section)
+    if section.loss is not None:
+        lines.append(
+            f"No plan within {section.budget_min:.0f} min is more than"
+            f" {loss_bound_text(section.loss)}: a bound over all plans that take each"
+            " measurement at most as often as `counts` allows."
+        )
     if section.effects is not None:
         lines.append(section.effects.words)
     return lines
-
-
-def bound_sentences(section: result.PlanSection | None) -> list[str]:
-    """How much better than the plan any other can be; none where no bound is known."""
-    if section is None or section.loss is None:
-        return []
-    return [
-        f"No plan within {section.budget_min:.0f} min is more than"
-        f" {loss_bound_text(section.loss)}: a bound over all plans that take each"
-        " measurement at most as often as `counts` allows."
-    ]
 
 
 # The plan as a section of the result: one record a stage, value, bound and front.
@@ -606,8 +587,17 @@ def build_outcome(
     arranged = [_arrange(task, stage, k) for k, stage in enumerate(best.stages)]
     series = [s for stage in arranged for s in stage.series]
     judged = search.most_accurate if task.goal.has_targets else best
+    records = []
+    readings: list[Series] = []
+    clock = 0.0
+    for planned_stage, ordered in zip(best.stages, arranged, strict=True):
+        readings.extend(ordered.series)
+        measurement = task.resolved.measurement_with({s.setup for s in readings})
+        cumulative = Assessment.of(measurement, readings)
+        records.append(_stage_record(task, planned_stage, ordered, clock, cumulative))
+        clock += units.number(planned_stage.seconds, "min")
     section = result.PlanSection(
-        stages=_stage_records(task, best, arranged),
+        stages=records,
         cost=units.number(best.seconds, "min"),
         alternatives=[],
         budget_min=units.number(task.budget, "min"),
@@ -641,22 +631,6 @@ def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan
     rng = task.stage_generator(number)
     measurement = stage.option.measurement
     return order.order_plan(table, location, measurement, (), stage.series, rng)
-
-
-def _stage_records(
-    task: PlanTask, plan: StagePlan, arranged: Sequence[order.OrderedPlan]
-) -> list[result.StageRecord]:
-    """The stages with their times, one after the other."""
-    records = []
-    readings: list[Series] = []
-    clock = 0.0
-    for stage, ordered in zip(plan.stages, arranged, strict=True):
-        readings.extend(ordered.series)
-        measurement = task.resolved.measurement_with({s.setup for s in readings})
-        cumulative = Assessment.of(measurement, readings)
-        records.append(_stage_record(task, stage, ordered, clock, cumulative))
-        clock += units.number(stage.seconds, "min")
-    return records
 
 
 def _stage_record(

@@ -215,7 +215,10 @@ def _add_effects(
     )
     of_effects = effects.draws.mean(axis=0)
     if remaining is None:
-        remaining = maps.remaining @ mean - _change_by_controller(knowledge, mean, maps)
+        remaining = maps.remaining @ mean
+        if knowledge.sent is not None:  # not the identified parameters
+            shift = knowledge.sent - knowledge.measurement.machine.nominal - mean
+            remaining = remaining - (maps.raw - maps.remaining) @ shift
     remaining = remaining + acting.raw @ of_effects
     if knowledge.corrected is not None:  # as far as drives can
         remaining = remaining - (acting.raw - acting.remaining) @ knowledge.corrected
@@ -280,16 +283,6 @@ def absorb_effects(
     tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]
     shift = absorbing_shift(maps, error, tolerance)
     return dataclasses.replace(knowledge, sent=machine.nominal + mean + shift)
-
-
-def _change_by_controller(
-    knowledge: ParameterKnowledge, mean: Array, maps: ErrorMaps
-) -> Array | float:
-    """Change (n, k) of the pose by parameters sent that are not the identified ones."""
-    if knowledge.sent is None:
-        return 0.0
-    shift = knowledge.sent - knowledge.measurement.machine.nominal - mean
-    return np.asarray((maps.raw - maps.remaining) @ shift)
 
 
 def _remaining(

@@ -331,7 +331,15 @@ def held_out_sections(
         start += len(readings)
         noise = np.vstack([_noise_draws(measurement, s, m, rng) for m in drawn])
         centre = predicted.mean(axis=0)
-        adjust = _setup_adjustment(measurement, s, mean)
+        # Q takes the set-up's unknowns out of its readings
+        of_setup = np.array([n.startswith(f"{s.setup}.") for n in measurement.names])
+        columns = of_setup & measurement.free
+        slope = measurement.jacobian([s], mean)[:, columns]
+        law = measurement.noise([s])
+        white = law.whiten(slope)
+        precision = white.T @ white + np.diag(measurement.tolerance[columns] ** -2.0)
+        weight = white.T @ law.whiten(np.eye(len(slope)))
+        adjust = np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight)
         draws = (predicted + noise - centre) @ adjust.T
         low, high = np.quantile(draws, INTERVAL, axis=0)
         raw = readings - centre
@@ -377,18 +385,6 @@ def _held_out_section(
 
 def _rms_in(values: Array, unit: str) -> float:
     return units.number(_rms(values), unit)
-
-
-def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> Array:
-    """Q (N, N), which takes the set-up's unknowns out of its readings."""
-    of_setup = np.array([n.startswith(f"{series.setup}.") for n in measurement.names])
-    columns = of_setup & measurement.free
-    slope = measurement.jacobian([series], mean)[:, columns]
-    noise = measurement.noise([series])
-    white = noise.whiten(slope)
-    precision = white.T @ white + np.diag(measurement.tolerance[columns] ** -2.0)
-    weight = white.T @ noise.whiten(np.eye(len(slope)))
-    return np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight)
 
 
 def _noise_draws(
@@ -548,7 +544,12 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     if request is None:
         return state
     table, command = request.table, request.command
-    if _is_untrusted(state):
+    is_untrusted = False  # readings of a virtual machine rest on no fit
+    if isinstance(state, Measured) and state.readings.truth is None:
+        sections = state.result
+        fitted = trust.section_objections(sections.goodness, sections.estimate)
+        is_untrusted = state.fit_is_bad or bool(fitted)
+    if is_untrusted:
         reason = (
             "The predicted accuracy is withheld: it would rest on a bad fit"
             if not isinstance(state, Fitted) or state.corrected is None
@@ -695,18 +696,6 @@ def _tools(
         spreads = component_records(machine, predicted)
         records.append(ToolAccuracy(units.number(tool[2], unit), unit, spreads))
     return records
-
-
-def _is_untrusted(state: Scheduled) -> bool:
-    """Whether a prediction would rest on a fit that is not to be trusted.
-
-    With readings of a virtual machine it rests on none.
-    """
-    if not isinstance(state, Measured) or state.readings.truth is not None:
-        return False
-    result = state.result
-    fitted = trust.section_objections(result.goodness, result.estimate)
-    return state.fit_is_bad or bool(fitted)
 
 
 def predict_held_out(state: Fitted) -> Fitted:
