@@ -22,41 +22,41 @@ MARKS: Final = ("", "good", "bad", "chosen")  #: what a row of a table can be ma
 class Paragraph:
     """Running text."""
 
+    kind: ClassVar[str] = "paragraph"
     text: str
-    kind: str = dataclasses.field(default="paragraph", init=False)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Notice:
     """A sentence that must not be overlooked."""
 
+    kind: ClassVar[str] = "notice"
     text: str
-    kind: str = dataclasses.field(default="notice", init=False)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Items:
     """A list, numbered or not."""
 
+    kind: ClassVar[str] = "items"
     items: Sequence[str]
     numbered: bool = False
-    kind: str = dataclasses.field(default="items", init=False)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Facts:
     """Named facts: a term and what is to be said of it, row by row."""
 
+    kind: ClassVar[str] = "facts"
     rows: Sequence[tuple[str, str]]
-    kind: str = dataclasses.field(default="facts", init=False)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Code:
     """Text as typed."""
 
+    kind: ClassVar[str] = "code"
     text: str
-    kind: str = dataclasses.field(default="code", init=False)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -1,17 +1,18 @@
-"""The report as data: numbered blocks of plain text and rendered images.
+"""The report as plain values: numbered blocks of text and rendered images.
 
-Both writers start from it. The templates read the fields by their names.
+Both writers start from it. The templates read the keys by their names.
 """
 
 from __future__ import annotations
 
 import base64
+import collections
 import dataclasses
 import hashlib
 import itertools
 import re
 import string
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
@@ -25,97 +26,9 @@ import typst
 from oed.result import StudyResult
 from oed.safe_files import write_own
 from pkm_reports import sections, style, text
-from pkm_reports.blocks import (
-    Block,
-    Code,
-    Facts,
-    Items,
-    Notice,
-    Paragraph,
-    Picture,
-    Section,
-    Table,
-    TableColumn,
-)
+from pkm_reports.blocks import Block, Code, Paragraph, Picture, Section, Table
 from pkm_reports.style import Image
 from pkm_reports.view import PageView
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class TableRow:
-    """The cells of a row and what it is marked as."""
-
-    mark: str
-    cells: Sequence[str]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class TableBlock:
-    """A numbered table; rows of a linked one are the readings of the views."""
-
-    kind: str
-    label: str
-    caption: str
-    columns: Sequence[TableColumn]
-    rows: Sequence[TableRow]
-    linked: bool
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class PictureBlock:
-    """A numbered figure; its image is in the document under `name`.
-
-    width, height    inches
-    """
-
-    kind: str
-    label: str
-    caption: str
-    name: str
-    file: str
-    width: float
-    height: float
-
-
-DocumentBlock = Paragraph | Notice | Items | Facts | Code | TableBlock | PictureBlock
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class NumberedSection:
-    """A chapter with its number, or letter in the appendix; none on the first page."""
-
-    number: str
-    anchor: str
-    title: str
-    blocks: Sequence[DocumentBlock]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Page:
-    """All text of a report."""
-
-    title: str
-    question: str
-    study: str
-    machine: str
-    foot: str
-    answer: Sequence[NumberedSection]  #: parts of the first page
-    #: chapters; those from `appendix` on belong to the appendix
-    sections: Sequence[NumberedSection]
-    appendix: int
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Numbering:
-    """Running numbers of figures and tables, and the images drawn so far."""
-
-    images: dict[str, style.Image]
-    figures: Iterator[int] = dataclasses.field(
-        default_factory=lambda: itertools.count(1)
-    )
-    tables: Iterator[int] = dataclasses.field(
-        default_factory=lambda: itertools.count(1)
-    )
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -149,14 +62,14 @@ class Document:
     images: dict[str, style.Image] = dataclasses.field(default_factory=dict)
 
     @cached_property
-    def page(self) -> Page:
+    def page(self) -> dict[str, Any]:
         """All of it, for the screen."""
-        return _page(self.content, Numbering(self.images))
+        return _page(self.content, self.images)
 
     @cached_property
-    def printed(self) -> Page:
+    def printed(self) -> dict[str, Any]:
         """What a short print has."""
-        return _page(_printed(self.content), Numbering(self.images))
+        return _page(_printed(self.content), self.images)
 
     def html(self) -> bytes:
         """The page as UTF-8 bytes; the template engine escapes every text."""
@@ -164,7 +77,7 @@ class Document:
         page = _template().render(
             doc=self.page,
             # Without a first page there is nothing to read before the chapters.
-            opened=not self.page.answer,
+            opened=not self.page["answer"],
             images=self.images,
             view=view,
             script=_script(),
@@ -221,26 +134,79 @@ class Document:
         return Document(content, PageView.from_result(result))
 
 
-def _page(content: Content, numbering: Numbering) -> Page:
+def _page(content: Content, images: dict[str, style.Image]) -> dict[str, Any]:
+    """The content as plain values, its blocks numbered; draws what `images` lacks."""
+    numbers = collections.Counter[str]()
+    numbered = [
+        *zip(map(str, itertools.count(1)), content.chapters, strict=False),
+        *zip(string.ascii_uppercase, content.appendix, strict=False),
+    ]
     with style.applied():
-        parts = [_chapter("", part, numbering) for part in content.answer]
-        numbered = [
-            _chapter(number, section, numbering)
-            for number, section in (
-                *zip(map(str, itertools.count(1)), content.chapters, strict=False),
-                *zip(string.ascii_uppercase, content.appendix, strict=False),
-            )
+        page = {
+            "title": content.title,
+            "question": content.question,
+            "study": content.study,
+            "machine": content.machine,
+            "foot": content.foot,
+            "answer": [_chapter("", part, numbers, images) for part in content.answer],
+            "sections": [_chapter(n, part, numbers, images) for n, part in numbered],
+            # chapters from this one on belong to the appendix
+            "appendix": len(content.chapters),
+        }
+    return {key: cleaned_values(value) for key, value in page.items()}
+
+
+def _chapter(
+    number: str,
+    section: Section,
+    numbers: collections.Counter[str],
+    images: dict[str, style.Image],
+) -> dict[str, Any]:
+    """A chapter with its number, or letter in the appendix; none on the first page."""
+    return {
+        "number": number,
+        "anchor": section.anchor,
+        "title": section.title,
+        "blocks": [_block(block, numbers, images) for block in section.blocks],
+    }
+
+
+def _block(
+    block: Block, numbers: collections.Counter[str], images: dict[str, style.Image]
+) -> dict[str, Any]:
+    """One block for the writers; pictures are drawn here."""
+    names = [field.name for field in dataclasses.fields(block)]
+    values = {"kind": block.kind} | {name: getattr(block, name) for name in names}
+    if isinstance(block, Code):
+        values["text"] = text.cleaned(block.text).rstrip("\n")
+    if isinstance(block, Table):
+        numbers["Table"] += 1
+        values["label"] = f"Table {numbers['Table']}"
+        values["columns"] = [dataclasses.asdict(column) for column in block.columns]
+        values["rows"] = [
+            {"mark": block.mark(k), "cells": cells}
+            for k, cells in enumerate(block.rows)
         ]
-    return Page(
-        title=text.cleaned(content.title),
-        question=text.cleaned(content.question),
-        study=text.cleaned(content.study),
-        machine=text.cleaned(content.machine),
-        foot=text.cleaned(content.foot),
-        answer=parts,
-        sections=numbered,
-        appendix=len(content.chapters),
-    )
+    if isinstance(block, Picture):
+        numbers["Figure"] += 1
+        values["label"] = f"Figure {numbers['Figure']}"
+        image = images.get(block.name) or drawn_image(block)
+        images[block.name] = image
+        size = {"width": float(image.width), "height": float(image.height)}
+        del values["draw"]
+        values |= {"file": f"{block.name}.svg", **size}  # inches
+    return values
+
+
+def cleaned_values(value: Any) -> Any:
+    """Nested values whose texts have no control characters."""
+    if isinstance(value, str):
+        return text.cleaned(value)
+    if isinstance(value, Mapping):
+        return {key: cleaned_values(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence):
+        return [cleaned_values(entry) for entry in value]
+    return value
 
 
 def _printed(content: Content) -> Content:
@@ -266,61 +232,9 @@ def footer(result: StudyResult) -> str:
     return f"{result.study} · seed {result.seed} · pkm-oed {result.version}"
 
 
-def _chapter(number: str, section: Section, numbering: Numbering) -> NumberedSection:
-    blocks = [_block(block, numbering) for block in section.blocks]
-    return NumberedSection(number, section.anchor, section.title, blocks)
-
-
-def _block(block: Block, numbering: Numbering) -> DocumentBlock:
-    """One block for the writers; pictures are drawn here."""
-    match block:
-        case Table():
-            return _table(block, next(numbering.tables))
-        case Picture():
-            image = numbering.images.get(block.name) or drawn_image(block)
-            numbering.images[block.name] = image
-            return _picture(block, next(numbering.figures), image)
-        case Items():
-            items = [text.cleaned(item) for item in block.items]
-            return dataclasses.replace(block, items=items)
-        case Facts():
-            rows = [(text.cleaned(term), text.cleaned(s)) for term, s in block.rows]
-            return dataclasses.replace(block, rows=rows)
-        case Code():
-            return Code(text.cleaned(block.text).rstrip("\n"))
-        case Paragraph() | Notice():
-            return dataclasses.replace(block, text=text.cleaned(block.text))
-
-
 def drawn_image(picture: Picture) -> style.Image:
     """The figure of a picture, drawn and written."""
     return style.render(picture.draw())
-
-
-def _table(table: Table, number: int) -> TableBlock:
-    columns = [
-        dataclasses.replace(c, title=text.cleaned(c.title)) for c in table.columns
-    ]
-    rows = [
-        TableRow(table.mark(k), [text.cleaned(cell) for cell in row])
-        for k, row in enumerate(table.rows)
-    ]
-    caption = text.cleaned(table.caption)
-    return TableBlock(
-        table.kind, f"Table {number}", caption, columns, rows, table.linked
-    )
-
-
-def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
-    return PictureBlock(
-        kind=picture.kind,
-        label=f"Figure {number}",
-        caption=text.cleaned(picture.caption),
-        name=picture.name,
-        file=f"{picture.name}.svg",
-        width=float(image.width),
-        height=float(image.height),
-    )
 
 
 # The report as one HTML file that loads nothing: no font, no second file.

@@ -18,7 +18,7 @@ from report_fixture import result_of, shown_text, text_of
 from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, style, write_report
-from pkm_reports.blocks import Paragraph, Picture
+from pkm_reports.blocks import Picture
 from pkm_reports.page import Document, document
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
@@ -288,10 +288,10 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(monkeypatch):
     report = Document.from_result(result_of(report_fixture.sample()))
     report.pdf()
     printed = [
-        block.name
-        for section in (*report.printed.answer, *report.printed.sections)
-        for block in section.blocks
-        if isinstance(block, document.PictureBlock)
+        block["name"]
+        for section in (*report.printed["answer"], *report.printed["sections"])
+        for block in section["blocks"]
+        if block["kind"] == "picture"
     ]
     assert sorted(drawn) == sorted(printed)
     report.html()
@@ -309,7 +309,9 @@ def test_the_print_is_short(monkeypatch):
     ]
     assert pages[0] <= 4
     assert pages[1] > 2 * pages[0]
-    (more,) = [s for s in report.printed.sections if s.anchor == "more"]
-    (words,) = [b.text for b in more.blocks if isinstance(b, Paragraph)]
-    shown = [s.title for s in report.printed.sections]
-    assert all(s.title in words or s.title in shown for s in report.page.sections)
+    printed = report.printed["sections"]
+    (more,) = [s for s in printed if s["anchor"] == "more"]
+    (words,) = [b["text"] for b in more["blocks"] if b["kind"] == "paragraph"]
+    shown = [s["title"] for s in printed]
+    titles = [s["title"] for s in report.page["sections"]]
+    assert all(title in words or title in shown for title in titles)

@@ -110,7 +110,7 @@ def test_the_report_draws_the_runs(curves):
     with pytest.raises(msgspec.ValidationError, match="kind"):
         result_of(raw)
     report = Document.from_result(result)
-    assert report.page.sections  # draws
+    assert report.page["sections"]  # draws
     assert "run_curves" in report.images
     with style.applied():
         drawn = identification.draw_run_curves(curves)
