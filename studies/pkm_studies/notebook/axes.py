@@ -1,7 +1,6 @@
-"""Figures for notebooks: each function draws one section on a matplotlib axis and returns it.
+"""Figures for notebooks: each function draws one section on a matplotlib axis.
 
-Without an axis, pyplot makes one, so that a notebook shows it. The user's own style
-stays: only colours are those of the reports.
+The user's own style stays: only colours are those of the reports.
 """
 
 import math
@@ -26,15 +25,14 @@ MAX_EFFECTS = 10  #: effects that the diagnosis' figure shows
 
 
 def new_axes() -> Axes:
-    """An axis of a new figure of pyplot."""
+    """An axis of a new figure of pyplot, which a notebook shows."""
     from matplotlib import pyplot
 
     return pyplot.subplots()[1]
 
 
-def design(section: DesignSection, axes: Axes | None = None) -> Axes:
+def design(section: DesignSection, axes: Axes) -> None:
     """The chosen readings over the two commands that vary most, by set-up, in order."""
-    axes = axes or new_axes()
     poses = section.poses
     names = _varying_commands(poses)
     if not names:
@@ -49,7 +47,6 @@ def design(section: DesignSection, axes: Axes | None = None) -> Axes:
     axes.set_ylabel(text.heading(up))
     axes.set_title(f"{section.n} readings in working order")
     axes.legend()
-    return axes
 
 
 def _varying_commands(poses: Sequence[PlannedReading]) -> list[str]:
@@ -60,9 +57,8 @@ def _varying_commands(poses: Sequence[PlannedReading]) -> list[str]:
     return sorted(names, key=lambda name: -counts[name])[:2]
 
 
-def residuals(section: EstimateSection, axes: Axes | None = None) -> Axes:
+def residuals(section: EstimateSection, axes: Axes) -> None:
     """Residual of each reading after the fit, channel by channel, in its fine unit."""
-    axes = axes or new_axes()
     values = missing.array(section.residuals)
     channels = np.array(section.channels)
     for channel, colour in style.colours(section.channels).items():
@@ -74,16 +70,12 @@ def residuals(section: EstimateSection, axes: Axes | None = None) -> Axes:
     axes.set_xlabel("reading, in the order of the data")
     axes.set_ylabel("residual after the fit")
     axes.legend()
-    return axes
 
 
 def posterior(
-    section: PosteriorSection,
-    parameters: Mapping[str, ParameterEstimate],
-    axes: Axes | None = None,
-) -> Axes:
+    section: PosteriorSection, parameters: Mapping[str, ParameterEstimate], axes: Axes
+) -> None:
     """Mean and 95 % interval of each parameter, from nominal, in tolerances."""
-    axes = axes or new_axes()
     names = [name for name in section.marginals if name in parameters]
     shown = [name for name in names if parameters[name].prior_sd > 0.0]
     for k, name in enumerate(shown):
@@ -96,12 +88,10 @@ def posterior(
     axes.set_yticks(range(len(shown)), shown)
     axes.invert_yaxis()
     axes.set_xlabel("deviation from nominal [tolerances], 95 % interval")
-    return axes
 
 
-def accuracy(section: PredictionSection, axes: Axes | None = None) -> Axes:
+def accuracy(section: PredictionSection, axes: Axes) -> None:
     """Rms error of each component before and after, on a log scale."""
-    axes = axes or new_axes()
     names = list(section.components)
     places = np.arange(len(names))
     components = section.components.values()
@@ -117,12 +107,10 @@ def accuracy(section: PredictionSection, axes: Axes | None = None) -> Axes:
     axes.set_xticks(places, titles)
     axes.set_ylabel("rms error over the workspace")
     axes.legend()
-    return axes
 
 
-def stages(section: PlanSection, axes: Axes | None = None) -> Axes:
+def stages(section: PlanSection, axes: Axes) -> None:
     """Rms error of each component stage by stage, as a share of what it is before."""
-    axes = axes or new_axes()
     if not section.start_accuracy:
         raise ValueError("the plan states no accuracy before its first stage")
     for k, key in enumerate(section.start_accuracy):
@@ -136,12 +124,10 @@ def stages(section: PlanSection, axes: Axes | None = None) -> Axes:
     axes.set_xticks(range(len(names)), names)
     axes.set_ylabel("rms error, share of that before")
     axes.legend()
-    return axes
 
 
-def causes(section: GapSection, axes: Axes | None = None) -> Axes:
+def causes(section: GapSection, axes: Axes) -> None:
     """Probability of each effect that could be tested, the likeliest above."""
-    axes = axes or new_axes()
     finite = {n: p for n, p in section.marginal.items() if math.isfinite(p)}
     names = sorted(finite, key=lambda name: (-finite[name], name))[:MAX_EFFECTS]
     chosen = [name in section.selected for name in names]
@@ -151,4 +137,3 @@ def causes(section: GapSection, axes: Axes | None = None) -> Axes:
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("probability that the effect acts")
-    return axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from oed import result
 from pkm_studies.stages import Fitted, Measured, Scheduled, written
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from oed.estimation import Estimate
     from oed.posterior import Posterior
 
-T = TypeVar("T")
 StageT = TypeVar("StageT", bound=Scheduled)
+SectionT = TypeVar("SectionT")
 
 ROWS_SHOWN = 30  #: rows that a notebook shows of a table
 
@@ -38,9 +38,6 @@ class View(Generic[StageT]):
     def title(self) -> str:
         """What is shown, in one line."""
         raise NotImplementedError
-
-    def _written(self, section: T | None, name: str) -> T:
-        return written(section, name, self.state.withheld)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -70,13 +67,36 @@ class View(Generic[StageT]):
         return f"<p><b>{html.escape(self.title)}</b></p>{warnings}{shown}{more}"
 
 
-class DesignView(View[Scheduled]):
-    """The chosen readings: `section` has value, bound, efficiency and poses."""
+class SectionView(View[StageT], Generic[StageT, SectionT]):
+    """The outcome as a section of result.json, which has a figure."""
+
+    part: ClassVar[str]  #: name of the section
+    figure: ClassVar[str]  #: what draws it, see `axes`
 
     @property
-    def section(self) -> result.DesignSection:
-        """The `design` section of the result."""
-        return self._written(self.state.result.design, "design")
+    def section(self) -> SectionT:
+        """The section of the result."""
+        section: SectionT | None = getattr(self.state.result, self.part)
+        return written(section, self.part, self.state.withheld)
+
+    @property
+    def _drawn(self) -> tuple[Any, ...]:
+        return (self.section,)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """The outcome as a figure, on a matplotlib axis."""
+        from pkm_studies.notebook import axes as figures
+
+        axes = axes or figures.new_axes()
+        getattr(figures, self.figure)(*self._drawn, axes)
+        return axes
+
+
+class DesignView(SectionView[Scheduled, result.DesignSection]):
+    """The chosen readings: `section` has value, bound, efficiency and poses."""
+
+    part: ClassVar[str] = "design"
+    figure: ClassVar[str] = "design"
 
     @property
     def title(self) -> str:
@@ -95,20 +115,12 @@ class DesignView(View[Scheduled]):
             rows.append({**location, **pose.command, **pose.reading})
         return pd.DataFrame(rows)
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """The chosen readings over two commands, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
 
-        return figures.design(self.section, axes)
-
-
-class PlanView(View[Scheduled]):
+class PlanView(SectionView[Scheduled, result.PlanSection]):
     """The plan of stages: which measurement first, which next."""
 
-    @property
-    def section(self) -> result.PlanSection:
-        """The `plan` section of the result."""
-        return self._written(self.state.result.plan, "plan")
+    part: ClassVar[str] = "plan"
+    figure: ClassVar[str] = "stages"
 
     @property
     def title(self) -> str:
@@ -127,12 +139,6 @@ class PlanView(View[Scheduled]):
             }
             rows.append({**summary, **stage.predicted})
         return pd.DataFrame(rows)
-
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """What remains of each error stage by stage, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
-
-        return figures.stages(self.section, axes)
 
 
 class ReadingsView(View[Measured]):
@@ -161,7 +167,7 @@ class ReadingsView(View[Measured]):
         return pd.read_csv(io.StringIO(dataset.to_csv(data)))
 
 
-class _ParametersView(View[Fitted]):
+class _ParametersView(SectionView[Fitted, SectionT]):
     """Parameters as arrays, SI, in the order of `names`."""
 
     @property
@@ -189,17 +195,15 @@ class _ParametersView(View[Fitted]):
         return self._parameters_si.covariance
 
 
-class EstimateView(_ParametersView):
+class EstimateView(_ParametersView[result.EstimateSection]):
     """The identified parameters, each with its standard deviation."""
+
+    part: ClassVar[str] = "estimate"
+    figure: ClassVar[str] = "residuals"
 
     @property
     def _parameters_si(self) -> Estimate:
         return self.state.estimate
-
-    @property
-    def section(self) -> result.EstimateSection:
-        """The `estimate` section of the result."""
-        return self._written(self.state.result.estimate, "estimate")
 
     @property
     def title(self) -> str:
@@ -220,24 +224,16 @@ class EstimateView(_ParametersView):
         parameters = msgspec.to_builtins(self.section.parameters)
         return pd.DataFrame.from_dict(parameters, orient="index")
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Residuals after the fit, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
 
-        return figures.residuals(self.section, axes)
-
-
-class PosteriorView(_ParametersView):
+class PosteriorView(_ParametersView[result.PosteriorSection]):
     """Draws of the parameters, and their summary."""
+
+    part: ClassVar[str] = "posterior"
+    figure: ClassVar[str] = "posterior"
 
     @property
     def _parameters_si(self) -> Posterior:
-        return self._written(self.state.posterior, "posterior")
-
-    @property
-    def section(self) -> result.PosteriorSection:
-        """The `posterior` section of the result."""
-        return self._written(self.state.result.posterior, "posterior")
+        return written(self.state.posterior, "posterior", self.state.withheld)
 
     @property
     def title(self) -> str:
@@ -266,23 +262,15 @@ class PosteriorView(_ParametersView):
         return to_arviz(self._parameters_si)
 
     @property
-    def _parameters(self) -> dict[str, result.ParameterEstimate]:
-        return self.state.estimate_section.parameters
-
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """95 % intervals in tolerances, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
-
-        return figures.posterior(self.section, self._parameters, axes)
+    def _drawn(self) -> tuple[Any, ...]:
+        return self.section, self.state.estimate_section.parameters
 
 
-class AccuracyView(View[Scheduled]):
+class AccuracyView(SectionView[Scheduled, result.PredictionSection]):
     """The residual accuracy over the workspace, before and after compensation."""
 
-    @property
-    def section(self) -> result.PredictionSection:
-        """The `prediction` section of the result."""
-        return self._written(self.state.result.prediction, "prediction")
+    part: ClassVar[str] = "prediction"
+    figure: ClassVar[str] = "accuracy"
 
     @property
     def title(self) -> str:
@@ -306,20 +294,12 @@ class AccuracyView(View[Scheduled]):
             }
         return pd.DataFrame.from_dict(rows, orient="index")
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Errors before and after as bars, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
 
-        return figures.accuracy(self.section, axes)
-
-
-class DiagnosisView(View[Fitted]):
+class DiagnosisView(SectionView[Fitted, result.GapSection]):
     """What calibration leaves: causes with probabilities, places, closure."""
 
-    @property
-    def section(self) -> result.GapSection:
-        """The `gap` section of the result."""
-        return self._written(self.state.result.gap, "gap")
+    part: ClassVar[str] = "gap"
+    figure: ClassVar[str] = "causes"
 
     @property
     def corrected(self) -> result.CorrectedSection | None:
@@ -346,12 +326,6 @@ class DiagnosisView(View[Fitted]):
             for answer in self.section.answers
         ]
         return pd.DataFrame(rows)
-
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Probabilities of the causes, on a matplotlib axis."""
-        from pkm_studies.notebook import axes as figures
-
-        return figures.causes(self.section, axes)
 
 
 @dataclasses.dataclass(frozen=True)
