@@ -4,7 +4,7 @@ PageView               of a result: its lines, readings, fields and circles
 ViewLine               a polyline, mm
 ViewLabel              names of parameters at a point, mm
 ViewReading            a reading with its place, values and run
-encoded_view           a view as JSON within a page's script
+within_script          JSON as it may stand within a page's script
 residuals_of_readings  the residuals of a result by reading
 points_mm              points that are given in m, in mm
 """
@@ -184,12 +184,7 @@ class PageView:
 
     def encoded(self) -> str:
         """JSON for a script element: no character of it ends the element."""
-        encoded = msgspec.json.encode(self).decode("utf-8")
-        return (
-            encoded.replace("&", "\\u0026")
-            .replace("<", "\\u003c")
-            .replace(">", "\\u003e")
-        )
+        return within_script(msgspec.json.encode(self).decode("utf-8"))
 
     @classmethod
     def from_machine(
@@ -348,6 +343,13 @@ def residuals_of_readings(
     ]
     listed = iter(entries)
     return [[next(listed) for _ in range(n)] for n in channels]
+
+
+def within_script(encoded: str) -> str:
+    """JSON none of whose characters ends the script element that it stands in."""
+    for sign in "&<>":
+        encoded = encoded.replace(sign, f"\\u{ord(sign):04x}")
+    return encoded
 
 
 def points_mm(points: Sequence[Sequence[float]] | Array) -> Array:

@@ -61,12 +61,8 @@ class Feed:
         self.pattern = _compiled(pattern)
         is_line = source.startswith((TCP, SERIAL))
         if self.pattern is None and is_line:
-            raise InputError(
-                "a line needs a pattern",
-                "as in --pattern '(?P<length_mm>[-+0-9.]+)'",
-                field="--from",
-                value=source,
-            )
+            example = "as in --pattern '(?P<length_mm>[-+0-9.]+)'"
+            raise _refusal("a line needs a pattern", example, source)
         self._lines = _opener(source, self.pattern is None)
         self._first = JOINED if is_line else ""
         self.number = 0
@@ -109,21 +105,18 @@ def _compiled(pattern: str) -> re.Pattern[str] | None:
         compiled = re.compile(pattern)
         for name in compiled.groupindex:
             ReadingsColumn.parse(name)
+        if not compiled.groupindex:
+            raise units.UnitError("no group says which column a number belongs to")
     except (re.error, units.UnitError) as error:
-        raise InputError(
-            str(error),
-            "name groups as columns with their unit: (?P<length_mm>[-+0-9.]+)",
-            field="--pattern",
-            value=pattern,
-        ) from error
-    if not compiled.groupindex:
-        raise InputError(
-            "no group says which column a number belongs to",
-            "name groups as columns with their unit: (?P<length_mm>[-+0-9.]+)",
-            field="--pattern",
-            value=pattern,
-        )
+        remedy = "name groups as columns with their unit: (?P<length_mm>[-+0-9.]+)"
+        problem = str(error)
+        raise InputError(problem, remedy, field="--pattern", value=pattern) from error
     return compiled
+
+
+def _refusal(problem: str, remedy: str, source: str) -> InputError:
+    """The error about a source that cannot be used."""
+    return InputError(problem, remedy, field="--from", value=source)
 
 
 def _si_values(cells: dict[str, str | None]) -> dict[str, float]:
@@ -161,12 +154,8 @@ def _opener(source: str, is_table: bool) -> Callable[[], Iterator[str]]:
 def _existing(source: str) -> Path:
     path = Path(source)
     if not path.exists():
-        raise InputError(
-            "there is no such file or folder",
-            "check the name; lines are tcp://HOST:PORT or serial:DEVICE",
-            field="--from",
-            value=source,
-        )
+        remedy = "check the name; lines are tcp://HOST:PORT or serial:DEVICE"
+        raise _refusal("there is no such file or folder", remedy, source)
     return path
 
 
@@ -234,9 +223,7 @@ def _files(path: Path) -> list[Path]:
 def _tcp_address(source: str) -> tuple[str, int]:
     host, _, port = source.removeprefix(TCP).rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(
-            "no address", "as in tcp://192.168.0.7:5000", field="--from", value=source
-        )
+        raise _refusal("no address", "as in tcp://192.168.0.7:5000", source)
     return host, int(port)
 
 
@@ -251,18 +238,12 @@ def _tcp_lines(address: tuple[str, int]) -> Iterator[str]:
 def _serial_port(source: str) -> tuple[str, int]:
     device, _, baud = source.removeprefix(SERIAL).partition(",")
     if not device or (baud and not baud.isdigit()):
-        raise InputError(
-            "no device", "as in serial:/dev/ttyUSB0,9600", field="--from", value=source
-        )
+        raise _refusal("no device", "as in serial:/dev/ttyUSB0,9600", source)
     try:
         import serial  # noqa: F401
     except ModuleNotFoundError as error:
-        raise InputError(
-            "serial lines need the package pyserial",
-            "pip install 'pkm-oed[serial]'",
-            field="--from",
-            value=source,
-        ) from error
+        problem = "serial lines need the package pyserial"
+        raise _refusal(problem, "pip install 'pkm-oed[serial]'", source) from error
     return device, int(baud or BAUD)
 
 

@@ -18,7 +18,7 @@ from oed.dataset import ReadingsColumn
 from pkm_page import render, rows, show
 from pkm_page.feed import Feed, Offer
 from pkm_page.readings_log import StaleError
-from pkm_page.session import DoubtfulError, MachineSession
+from pkm_page.session import DoubtfulError, MachineSession, ReadingEntry
 from pkm_page.shelf import Shelf
 from pkm_studies.base import InputError
 from pkm_studies.results import BadFitError
@@ -29,17 +29,6 @@ if TYPE_CHECKING:
 POLL_SECONDS: Final = 0.5  #: time between two looks at the readings file, s
 #: commands that evaluate the readings, by the word on the button
 FITS: Final = ("identify", "diagnose")
-
-
-class ReadingEntry(msgspec.Struct, forbid_unknown_fields=True):
-    """A reading as the page sends it."""
-
-    version: str
-    key: str
-    entries: list[str]
-    remark: str = ""
-    direction: str = ""
-    confirmed: bool = False
 
 
 class Change(msgspec.Struct, forbid_unknown_fields=True):
@@ -55,6 +44,11 @@ class ResultChoice(msgspec.Struct, forbid_unknown_fields=True):
 
     word: str = ""
     keys: list[str] = []
+
+    @property
+    def key(self) -> str:
+        """The first key; empty without one."""
+        return "".join(self.keys[:1])
 
 
 class MachinePage:
@@ -102,7 +96,7 @@ class MachinePage:
             state = self.session.state
             if self._shown[0] is not state:
                 values = show.page_values(self.session, state)
-                view = render.plain(show.view(self.session, state))
+                view = msgspec.to_builtins(show.view(self.session, state))
                 self._shown = (state, {"values": values, "view": view})
             values = self._shown[1]["values"] | self._job_values()
         return {
@@ -143,14 +137,7 @@ class MachinePage:
     # -- changes -----------------------------------------------------------------------
     def take(self, entry: ReadingEntry) -> None:
         """Take a reading. Raises as `MachineSession.take`."""
-        self.session.take(
-            entry.version,
-            entry.key,
-            entry.entries,
-            entry.remark,
-            confirmed=entry.confirmed,
-            direction=entry.direction,
-        )
+        self.session.take(entry)
         self.offer, self.doubt = None, ""
 
     def arrived(self, offer: Offer) -> None:
@@ -185,10 +172,6 @@ class MachinePage:
         """Plan the acceptance test of a result in the background. Raises InputError."""
         folder = self.shelf.folder(key)
         self.job.start("acceptance test", ["verify", folder])
-
-    def compensation(self, key: str, word: str) -> dict[str, Any]:
-        """What a controller reads: files by name, and what they hold. Raises InputError."""
-        return compensation_files(self.shelf.folder(key), word)
 
     def watch(self) -> None:
         """Look at the readings file twice a second, in a thread, until it stops."""

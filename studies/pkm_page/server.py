@@ -25,10 +25,10 @@ from starlette.types import Receive, Scope, Send
 from pkm_page import machine_page, render
 from pkm_page.feed import Feed
 from pkm_page.guard import Guard, hosts_of
-from pkm_page.machine_page import Change, MachinePage, ReadingEntry, ResultChoice
+from pkm_page.machine_page import Change, MachinePage, ResultChoice
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_page.readings_log import StaleError
-from pkm_page.session import DoubtfulError, MachineSession
+from pkm_page.session import DoubtfulError, MachineSession, ReadingEntry
 from pkm_page.shelf import RESULT, Shelf, study_files
 from pkm_studies import files, shipped
 from pkm_studies.acceptance import ACCEPTANCE_FILE, judge_folder, verdict_sentences
@@ -135,7 +135,7 @@ class MachineAddresses:
             Route("/events", self.events),
             Route("/readings.csv", self.readings),
             *(
-                Route(f"/{name}", self._change(kind, work), methods=["POST"])
+                _posting(f"/{name}", kind, work, page.state)
                 for name, kind, work in self._changes()
             ),
         ]
@@ -150,11 +150,7 @@ class MachineAddresses:
             ("unskip", Change, lambda c: session.take_skip_back(c.version)),
             ("repeat", Change, lambda c: session.repeat(c.version, again=c.again)),
             ("fit", ResultChoice, lambda c: page.fit(c.word)),
-            (
-                "acceptance",
-                ResultChoice,
-                lambda c: page.plan_acceptance("".join(c.keys[:1])),
-            ),
+            ("acceptance", ResultChoice, lambda c: page.plan_acceptance(c.key)),
         ]
 
     def show(self, _: Request) -> Response:
@@ -209,23 +205,6 @@ class MachineAddresses:
         finally:
             self.listeners.release()
 
-    def _change(
-        self, kind: type[Body], work: Callable[[Body], Any]
-    ) -> Callable[[Request], Any]:
-        """An address that changes the session, and answers with the new state."""
-
-        async def answer(request: Request) -> Response:
-            body = await request.body()
-            return await run_in_threadpool(self._changed, body, kind, work)
-
-        return answer
-
-    def _changed(
-        self, body: bytes, kind: type[Body], work: Callable[[Body], Any]
-    ) -> Response:
-        status, extra = _attempt(body, kind, work)
-        return _answer(self.page.state() | extra, status)
-
 
 class ResultAddresses:
     """Addresses of stored results: cards, reports, two side by side, files to send."""
@@ -238,8 +217,8 @@ class ResultAddresses:
             Route("/results/{key}/report", self.report),
             Route("/results/{first}/beside/{second}", self.side_by_side),
             Route("/results/{key}/acceptance", self.acceptance),
-            Route("/compensation", self.compensation, methods=["POST"]),
-            Route("/judge", self.judge, methods=["POST"]),
+            _posting("/compensation", ResultChoice, self._compensation),
+            _posting("/judge", FilledIn, self._judge, lambda: {"sentences": []}),
         ]
 
     def show(self, _: Request) -> Response:
@@ -283,34 +262,15 @@ class ResultAddresses:
         kind = {"Content-Disposition": 'attachment; filename="acceptance.csv"'}
         return Response(text, media_type="text/csv", headers=kind)
 
-    async def judge(self, request: Request) -> Response:
+    def _judge(self, filled: FilledIn) -> dict[str, Any]:
         """The verdict on a filled-in file of an acceptance test."""
-        body = await request.body()
-        return await run_in_threadpool(self._judge, body)
+        folder = self.shelf.folder(filled.key)
+        return {"sentences": judge_acceptance(folder, filled.text)}
 
-    def _judge(self, body: bytes) -> Response:
-        said: list[str] = []
-
-        def work(filled: FilledIn) -> None:
-            said.extend(judge_acceptance(self.shelf.folder(filled.key), filled.text))
-
-        status, extra = _attempt(body, FilledIn, work)
-        return _answer({"sentences": said} | extra, status)
-
-    async def compensation(self, request: Request) -> Response:
+    def _compensation(self, choice: ResultChoice) -> dict[str, Any]:
         """The files of a controller's format for a result."""
-        body = await request.body()
-        return await run_in_threadpool(self._compensation, body)
-
-    def _compensation(self, body: bytes) -> Response:
-        answer: dict[str, Any] = {}
-
-        def write(choice: ResultChoice) -> None:
-            folder = self.shelf.folder("".join(choice.keys[:1]))
-            answer.update(machine_page.compensation_files(folder, choice.word))
-
-        status, extra = _attempt(body, ResultChoice, write)
-        return _answer(answer | extra, status)
+        folder = self.shelf.folder(choice.key)
+        return machine_page.compensation_files(folder, choice.word)
 
 
 class StudyAddresses:
@@ -322,9 +282,9 @@ class StudyAddresses:
         self.form = StudyForm(folder)
         self.routes = [
             Route("/new", self.show),
-            Route("/new", self._answering(NewStudy, self._write), methods=["POST"]),
-            Route("/new/draw", self._answering(NewStudy, self._draw), methods=["POST"]),
-            Route("/open", self._answering(ResultChoice, self._open), methods=["POST"]),
+            _posting("/new", NewStudy, self._write),
+            _posting("/new/draw", NewStudy, self._draw),
+            _posting("/open", ResultChoice, self._open),
         ]
 
     def show(self, request: Request) -> Response:
@@ -346,7 +306,7 @@ class StudyAddresses:
         return HTMLResponse(html, headers=headers)
 
     def _draw(self, form: NewStudy) -> dict[str, Any]:
-        return {"view": render.plain(self.form.drawing(form))}
+        return {"view": msgspec.to_builtins(self.form.drawing(form))}
 
     def _write(self, form: NewStudy) -> dict[str, Any]:
         path = self.form.write(form)
@@ -355,34 +315,36 @@ class StudyAddresses:
 
     def _open(self, choice: ResultChoice) -> dict[str, Any]:
         available = study_files(self.folder)
-        key = "".join(choice.keys[:1])
-        if key not in available:
+        if choice.key not in available:
             raise InputError("there is no such study", "load the page again")
-        self.switch.open(available[key])
+        self.switch.open(available[choice.key])
         return {}
 
-    def _answering(
-        self, kind: type[Body], work: Callable[[Body], dict[str, Any]]
-    ) -> Callable[[Request], Any]:
-        def worked(body: bytes) -> Response:
-            answer: dict[str, Any] = {}
-            status, extra = _attempt(
-                body, kind, lambda value: answer.update(work(value))
-            )
-            return _answer(answer | extra, status)
 
-        async def answer(request: Request) -> Response:
-            return await run_in_threadpool(worked, await request.body())
+def _posting(
+    path: str,
+    kind: type[Body],
+    work: Callable[[Body], dict[str, Any] | None],
+    state: Callable[[], dict[str, Any]] = dict,
+) -> Route:
+    """An address that takes a body, and answers with `state` and what the work returns."""
 
-        return answer
+    def worked(body: bytes) -> Response:
+        status, further = _attempt(body, kind, work)
+        return _answer(state() | further, status)
+
+    async def answer(request: Request) -> Response:
+        return await run_in_threadpool(worked, await request.body())
+
+    return Route(path, answer, methods=["POST"])
 
 
 def _attempt(
-    body: bytes, kind: type[Body], work: Callable[[Body], Any]
+    body: bytes, kind: type[Body], work: Callable[[Body], dict[str, Any] | None]
 ) -> tuple[int, dict[str, Any]]:
-    """Status and further keys of the answer to a change."""
+    """Status and keys of the answer to a posted body."""
     try:
-        work(msgspec.json.decode(body, type=kind))
+        return 200, work(msgspec.json.decode(body, type=kind)) or {}
     except msgspec.DecodeError as error:
         return 400, {"error": f"This is no request of the page: {error}."}
     except DoubtfulError as doubt:
@@ -395,7 +357,6 @@ def _attempt(
         return UNUSABLE, {"error": str(error)}
     except OSError as error:
         return UNUSABLE, {"error": f"{files.refusal(error)} Nothing was taken."}
-    return 200, {}
 
 
 def _answer(values: dict[str, Any], status: int = 200) -> Response:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from oed.base import Array
@@ -46,6 +47,17 @@ class DoubtfulError(Exception):
     def __init__(self, sentences: Sequence[str]) -> None:
         self.sentences = list(sentences)
         super().__init__(" ".join(sentences))
+
+
+class ReadingEntry(msgspec.Struct, forbid_unknown_fields=True):
+    """A reading as the page sends it."""
+
+    version: str  #: of the file that it is based on
+    key: str  #: of the entry: one that is sent again is taken once
+    entries: list[str]  #: what was typed, a text a column
+    remark: str = ""
+    direction: str = ""  #: of approach: "+1", "-1", or "" where it is not noted
+    confirmed: bool = False  #: whether doubts were shown before
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,49 +115,35 @@ class MachineSession:
         return self.adviser.everything
 
     # -- what changes ------------------------------------------------------------------
-    def take(
-        self,
-        version: str,
-        key: str,
-        entries: Sequence[str],
-        remark: str,
-        *,
-        confirmed: bool,
-        direction: str = "",
-    ) -> None:
+    def take(self, entry: ReadingEntry) -> None:
         """Take a reading at the present pose; on return it is on the disk.
-
-        key        of the entry: one that is sent again is taken once
-        entries    what was typed, a text a column
-        confirmed  whether doubts were shown before
-        direction  of approach: "+1", "-1", or "" where it is not noted
 
         Raises StaleError, DoubtfulError, and InputError for what is no reading.
         """
         with self._lock:
-            if key in self._keys:
+            if entry.key in self._keys:
                 return
-            pose, content = self._pose(), self._based_on(version)
-            measurement = self.measurement
+            pose, content = self._pose(), self._based_on(entry.version)
+            measurement, entries = self.measurement, entry.entries
             columns = rows.entry_columns(measurement, pose.series.setup)
             if len(entries) != len(columns):
                 raise InputError("not as many numbers as columns", "type all of them")
             names = [ReadingsColumn.of(c.name, c.unit).name for c in columns]
             values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
-            sign = approach.cell(direction, self.next_approach(content, pose))
+            sign = approach.cell(entry.direction, self.next_approach(content, pose))
             content = rows.add_clock(content, measurement)
             new = rows.reading_rows(measurement, pose.series, pose.row, values, content)
             new[-1] |= rows.time_cell(content)
             if sign:
                 new[-1][approach.DIRECTION] = sign
-            if remark:
-                new[-1][REMARK] = rows.clean_remark(remark)
+            if entry.remark:
+                new[-1][REMARK] = rows.clean_remark(entry.remark)
             after = content.replace_rows(new)
-            sentences = [] if confirmed else self._doubts(after, values, entries)
+            sentences = [] if entry.confirmed else self._doubts(after, values, entries)
             if sentences:
                 raise DoubtfulError(sentences)
-            written = self.log.write(version, after)
-            self._keys[key] = None
+            written = self.log.write(entry.version, after)
+            self._keys[entry.key] = None
             if len(self._keys) > MAX_KEYS:
                 self._keys.pop(next(iter(self._keys)))
             self._publish(self._state(written))

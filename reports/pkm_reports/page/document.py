@@ -80,7 +80,7 @@ class Document:
             opened=not self.page["answer"],
             images=self.images,
             view=view,
-            script=_script(),
+            script=page_script(),
             digest=script_digest(),
         )
         return page.encode("utf-8")
@@ -244,9 +244,8 @@ CODE: Final = re.compile("`([^`\n]+)`")  #: a command or key within a sentence
 SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 
 
-@cache
-def _template() -> jinja2.Template:
-    loader = jinja2.PackageLoader("pkm_reports")
+def template_environment(loader: jinja2.BaseLoader) -> jinja2.Environment:
+    """Templates that escape every text, and name no value that they are not given."""
     environment = jinja2.Environment(
         loader=loader,
         autoescape=True,
@@ -255,6 +254,12 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
     )
     environment.filters["words"] = marked_words
+    return environment
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = template_environment(jinja2.PackageLoader("pkm_reports"))
     return environment.get_template("report.html.j2")
 
 
@@ -265,16 +270,21 @@ def marked_words(text: str) -> markupsafe.Markup:
 
 
 @cache
-def _script() -> str:
-    folder = resources.files("pkm_reports").joinpath("templates")
-    parts = [folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS]
-    return "\n".join(["'use strict';", *parts])
+def page_script(package: str = "", *names: str) -> str:
+    """The script of a report, with files of a further package's templates below it."""
+    parts = [*(("pkm_reports", n) for n in SCRIPTS), *((package, n) for n in names)]
+    texts = [
+        resources.files(owner).joinpath("templates", name).read_text(encoding="utf-8")
+        for owner, name in parts
+    ]
+    return "\n".join(["'use strict';", *texts])
 
 
 @cache
-def script_digest() -> str:
-    """SHA-256 of the script element's text, as a content policy states it."""
-    digest = hashlib.sha256(f"\n{_script()}\n".encode()).digest()
+def script_digest(script: str | None = None) -> str:
+    """SHA-256 of a script element's text, the report's or another, for a content policy."""
+    written = page_script() if script is None else script
+    digest = hashlib.sha256(f"\n{written}\n".encode()).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
