@@ -1,9 +1,9 @@
 """What the certificate of a result states: parameters, accuracy, conformity; in SI units."""
 
-import functools
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -57,14 +57,13 @@ def certificate(
     result: StudyResult,
     study: Study,
     head: CertificateHead,
-    tolerance: Mapping[str, float],
     file: str,
     location: Location,
 ) -> Certificate:
     """All that the certificate of a result states.
 
-    tolerance  by name and unit, as the user gives it at `location`
-    file       result.json
+    file      result.json
+    location  of the tolerances
 
     Raises InputError for a result that certifies no machine, and for unknown names.
     """
@@ -90,7 +89,9 @@ def certificate(
         predicted=list(_predicted(result, promised)),
         verified_poses=0 if result.acceptance is None else len(result.acceptance.poses),
         verified=list(_verified(result)),
-        conformity=list(_conformities(result, section, promised, tolerance, location)),
+        conformity=list(
+            _conformities(result, section, promised, head.tolerance, location)
+        ),
         conditions=conditions(result),
     )
 
@@ -243,79 +244,80 @@ def _conformities(
     if not stated and result.acceptance is not None:
         demands = result.acceptance.components
         stated = {n: d.promised * units.factor(d.unit) for n, d in demands.items()}
-    parts = {c.name: (promised.promise, k) for k, c in enumerate(promised.components)}
-    further = promised.further
-    undriven = [] if further is None else [c.name for c in further.components]
+    fields = _error_fields(promised)
     for name, largest in stated.items():
-        if name in parts:
-            promise, k = parts[name]
-            none = np.zeros(len(promise.maps))
-            alone = functools.partial(
-                _probability_by_geometry, result, promise, k, none
-            )
-            basis = "predicted from the calibration, over the workspace"
-            unit = unit_of[name]
-            yield _predicted_conformity(result, name, basis, largest, unit, alone)
-            yield from _measured_conformity(result, name, largest, unit_of[name])
+        unit = unit_of[name]
+        if name in fields:
+            yield _predicted_conformity(result, name, fields[name], largest, unit)
+            yield from _measured_conformity(result, name, largest, unit)
         elif name in section.parameters and _counts(name, section.parameters[name].sd):
-            yield _parameter_conformity(section, name, largest, unit_of[name])
-        elif further is not None and name in undriven:
-            k = undriven.index(name)
-            error = further.known[:, k]
-            alone = functools.partial(
-                _probability_by_geometry, result, further.promise, k, error
-            )
-            basis = "predicted, no drive corrects it, over the workspace"
-            unit = unit_of[name]
-            yield _predicted_conformity(result, name, basis, largest, unit, alone)
+            yield _parameter_conformity(section, name, largest, unit)
         else:
+            known = ", ".join([*fields, *section.parameters])
             raise location.error(
                 f"nothing is known of {name} that a tolerance could be compared with",
-                f"remove it, or name one of {', '.join([*parts, *section.parameters])}",
+                f"remove it, or name one of {known}",
             )
+
+
+class _ErrorField(NamedTuple):
+    """Errors of a component over the workspace: known ones, and those of parameters."""
+
+    promise: Promise
+    k: int  #: of the component in the promise
+    known: Array  #: (m,) SI
+    basis: str
+
+    def probability_within(self, largest: float, seed: int) -> float:
+        """Probability by the geometry alone; errors have the predicted size."""
+        promise, k = self.promise, self.k
+        rng = np.random.default_rng([seed, zlib.crc32(promise.names[k].encode())])
+        root = covariance_root(promise.covariances[0])
+        slopes = promise.maps[:, k]
+        size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))
+        scaled = root * (promise.rms[k] / size)
+        return rms_within(self.known, slopes, scaled, largest, rng)
+
+
+def _error_fields(promised: PromisedAccuracy) -> dict[str, _ErrorField]:
+    """The errors of each component, driven or not."""
+    promise, further = promised.promise, promised.further
+    basis = "predicted from the calibration, over the workspace"
+    nothing = np.zeros(len(promise.maps))
+    fields = {
+        c.name: _ErrorField(promise, k, nothing, basis)
+        for k, c in enumerate(promised.components)
+    }
+    if further is not None:
+        basis = "predicted, no drive corrects it, over the workspace"
+        for k, c in enumerate(further.components):
+            fields[c.name] = _ErrorField(further.promise, k, further.known[:, k], basis)
+    return fields
 
 
 def _predicted_conformity(
-    result: StudyResult,
-    name: str,
-    basis: str,
-    largest: float,
-    unit: str,
-    by_geometry: Callable[[float], float],
+    result: StudyResult, name: str, field: _ErrorField, largest: float, unit: str
 ) -> Conformity:
     """Conformity of a prediction: over the distribution that every verdict rests on.
 
-    by_geometry  probability of a largest error by the geometry alone, which is drawn where
-                 no such distribution is stored
+    By the geometry alone where no such distribution is stored.
     """
     prediction = result.judged_prediction
     stored = None if prediction is None else prediction.components[name].after
     if stored is None or not stored.rms_quantiles:
-        basis, can_pass = f"{basis}, {GEOMETRY_ALONE}", False
-        probability = by_geometry(largest)
+        basis, can_pass = f"{field.basis}, {GEOMETRY_ALONE}", False
+        probability = field.probability_within(largest, result.seed)
     else:
         limit = units.number(largest, stored.unit)
         probability = stored.probability_within(limit)
         verdict = accuracy_verdicts(result, {name: limit})[name]
         can_pass = verdict.confirmed and verdict.judgement == "pass"
-        basis = f"{basis}, {verdict.scope}"
+        basis = f"{field.basis}, {verdict.scope}"
         if not verdict.confirmed:
             basis += "; no measurement confirms it"
     return Conformity(
         f"rms error of {name}", basis, largest, unit, probability, can_pass
     )
-
-
-def _probability_by_geometry(
-    result: StudyResult, promise: Promise, k: int, remaining: Array, largest: float
-) -> float:
-    """Probability of the rms error; fields have the predicted size, as for acceptance."""
-    rng = np.random.default_rng([result.seed, zlib.crc32(promise.names[k].encode())])
-    root = covariance_root(promise.covariances[0])
-    slopes = promise.maps[:, k]
-    size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))
-    scaled = root * (promise.rms[k] / size)
-    return rms_within(remaining, slopes, scaled, largest, rng)
 
 
 def _measured_conformity(
@@ -373,10 +375,10 @@ def certify_folder(
     result = load_result(folder)
     refuse_bad_fit(result)
     path = folder / head.FILE if head_file is None else head_file
-    stated, tolerance = head.read(path)
+    stated = head.read(path)
     study = result_study(result, folder, study_file, consent)
     file, tolerance_file = str(folder / "result.json"), Location(str(path), "tolerance")
-    record = certificate(result, study, stated, tolerance, file, tolerance_file)
+    record = certificate(result, study, stated, file, tolerance_file)
     written = safe_files.write_own(folder / XML, dcc.write_xml(record))
     return record, (written, write_certificate_page(record, folder))
 

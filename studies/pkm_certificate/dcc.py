@@ -80,11 +80,11 @@ def _administrative(parent: Element, c: Certificate) -> None:
     _core(_add(parent, "coreData"), c.head)
     _item(_add(_add(parent, "items"), "item"), c)
     laboratory = _add(parent, "calibrationLaboratory")
-    if c.head.accreditation:
-        _add(laboratory, "calibrationLaboratoryCode", c.head.accreditation)
+    if c.head.laboratory.accreditation:
+        _add(laboratory, "calibrationLaboratoryCode", c.head.laboratory.accreditation)
     _contact(_add(laboratory, "contact"), c.head.laboratory)
     persons = _add(parent, "respPersons")
-    for person in c.head.persons:
+    for person in c.head.person:
         entry = _add(persons, "respPerson")
         _words(_add(entry, "person"), "name", person.name)
         if person.role:
@@ -177,10 +177,10 @@ def _prediction_text(c: Certificate) -> str:
 
 
 def _equipment(parent: Element, c: Certificate) -> None:
-    if not c.head.instruments:
+    if not c.head.instrument:
         return
     listed = _add(parent, "measuringEquipments")
-    for instrument in c.head.instruments:
+    for instrument in c.head.instrument:
         entry = _add(listed, "measuringEquipment")
         _words(entry, "name", instrument.name)
         if instrument.certificate:

@@ -4,31 +4,18 @@ import datetime
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_certificate.statement import (
-    CertificateHead,
-    CertifiedItem,
-    Country,
-    Institution,
-    Person,
-    UsedInstrument,
-)
+from pkm_certificate.statement import CertificateHead
 from pkm_studies import files
 from pkm_studies.base import Location
 from pkm_studies.study import decode_table, tables_of
-from pkm_studies.tables import Positive, StudyTable
 
 FILE = "certificate.toml"
 MAX_BYTES = 1_000_000
-#: deg C at a machine: what is beyond was read in another unit
-Temperature = Annotated[float, msgspec.Meta(gt=-100, lt=200)]
 #: what XML cannot hold
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
-#: probability from which a conformity is stated
-Rule = Annotated[float, msgspec.Meta(gt=0.5, lt=1)]
 
 TEMPLATE = """\
 # What the calibration cannot know. Fill in each empty text, and call `oed certificate`
@@ -78,35 +65,8 @@ name = ""
 """
 
 
-class Laboratory(Institution, frozen=True, kw_only=True):
-    """[laboratory]: who calibrated."""
-
-    accreditation: str = ""
-
-
-class HeadFile(StudyTable, frozen=True, kw_only=True):
-    """The file."""
-
-    identifier: str
-    country: Country
-    begin: str
-    end: str
-    place: Literal[
-        "laboratory", "customer", "laboratoryBranch", "customerBranch", "other"
-    ]
-    issued: str = ""
-    temperature: Temperature | None = msgspec.field(default=None, name="temperature_C")
-    decision: Rule | None = None
-    item: CertifiedItem
-    laboratory: Laboratory
-    customer: Institution
-    person: list[Person]
-    instrument: list[UsedInstrument] = msgspec.field(default_factory=list)
-    tolerance: dict[str, Positive] = msgspec.field(default_factory=dict)
-
-
-def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
-    """The head, and tolerances as written; an absent file is made. Raises InputError."""
+def read(path: Path) -> CertificateHead:
+    """The head; an absent file is made. Raises InputError."""
     location = Location(str(path))
     if not path.exists() and path.parent.is_dir():
         files.write_whole(path, TEMPLATE)
@@ -117,27 +77,12 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
         )
     text = files.read_text(path, limit=MAX_BYTES, what="certificate file")
     table = tables_of(text, location)
-    file = decode_table(HeadFile, table, location)
+    file = decode_table(CertificateHead, table, location)
     _check(file, location)
-    return _head(file), file.tolerance
+    return file
 
 
-def _head(file: HeadFile) -> CertificateHead:
-    names = ("identifier", "country", "begin", "end", "place", "issued")
-    return CertificateHead(
-        **{name: getattr(file, name) for name in names},
-        temperature=file.temperature,
-        decision=file.decision,
-        item=file.item,
-        laboratory=file.laboratory,
-        accreditation=file.laboratory.accreditation,
-        customer=file.customer,
-        persons=file.person,
-        instruments=file.instrument,
-    )
-
-
-def _check(file: HeadFile, location: Location) -> None:
+def _check(file: CertificateHead, location: Location) -> None:
     """Raises InputError for a needed text that is empty, and for dates that are none."""
     if not file.person:
         raise location.key("person").error("missing", "add a [[person]] with a name")
@@ -162,7 +107,7 @@ def _check(file: HeadFile, location: Location) -> None:
 
 
 def _tables(
-    file: HeadFile, location: Location
+    file: CertificateHead, location: Location
 ) -> Iterator[tuple[Location, msgspec.Struct]]:
     yield location, file
     for key in ("item", "laboratory", "customer"):

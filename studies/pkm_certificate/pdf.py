@@ -60,14 +60,14 @@ def _head(c: Certificate) -> Facts:
         ("Machine", f"{c.machine}: {c.about}" if c.about else c.machine),
         ("Item", _joined(item)),
         ("Laboratory", _contact(head.laboratory)),
-        ("Accreditation", head.accreditation),
+        ("Accreditation", head.laboratory.accreditation),
         ("Customer", _contact(head.customer)),
         ("Calibrated", f"{head.begin} to {head.end}, place: {head.place}"),
         ("Temperature", _temperature(head.temperature)),
         ("Issued", head.issued),
         ("Instruments", "; ".join(_instruments(c))),
         ("Readings", f"{c.readings} of {'; '.join(c.setups)}"),
-        ("Responsible", "; ".join(_joined([p.name, p.role]) for p in head.persons)),
+        ("Responsible", "; ".join(_joined([p.name, p.role]) for p in head.person)),
     ]
     return Facts([(term, phrase) for term, phrase in rows if phrase])
 
@@ -95,7 +95,7 @@ def _instruments(c: Certificate) -> list[str]:
                 i.certificate and f"certificate {i.certificate}",
             ]
         )
-        for i in c.head.instruments
+        for i in c.head.instrument
     ]
 
 

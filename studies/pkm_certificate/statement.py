@@ -1,14 +1,19 @@
 """What a calibration certificate states: written as XML and as PDF, not into result.json."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
 from oed.result import Judgement, Record
 from oed.verdict import judge
+from pkm_studies.tables import Positive, StudyTable
 
 #: two letters of ISO 3166-1; empty where a user has not stated it yet
 Country = Annotated[str, msgspec.Meta(pattern="^([A-Z][A-Z])?$")]
+#: deg C at a machine: what is beyond was read in another unit
+Temperature = Annotated[float, msgspec.Meta(gt=-100, lt=200)]
+#: probability from which a conformity is stated
+Rule = Annotated[float, msgspec.Meta(gt=0.5, lt=1)]
 
 
 class CertifiedParameter(Record, frozen=True):
@@ -84,24 +89,34 @@ class UsedInstrument(Record, frozen=True):
     certificate: str = ""
 
 
-class CertificateHead(Record, frozen=True, kw_only=True):
-    """What no calibration can know: as the user states it. Dates are ISO 8601, the
-    temperature during the readings is in degrees Celsius."""
+class Laboratory(Institution, frozen=True, kw_only=True):
+    """Who calibrated; `accreditation` is its registration, where there is one."""
+
+    accreditation: str = ""
+
+
+class CertificateHead(StudyTable, frozen=True, kw_only=True):
+    """certificate.toml: what no calibration can know, as the user states it.
+
+    Dates are ISO 8601, the temperature during the readings is in degrees Celsius.
+    """
 
     identifier: str
-    country: str
+    country: Country
     begin: str
     end: str
-    place: str
+    place: Literal[
+        "laboratory", "customer", "laboratoryBranch", "customerBranch", "other"
+    ]
     issued: str = ""
-    temperature: float | None = None
-    decision: float | None = None
+    temperature: Temperature | None = msgspec.field(default=None, name="temperature_C")
+    decision: Rule | None = None
     item: CertifiedItem
-    laboratory: Institution
-    accreditation: str = ""
+    laboratory: Laboratory
     customer: Institution
-    persons: list[Person]
-    instruments: list[UsedInstrument] = []
+    person: list[Person]
+    instrument: list[UsedInstrument] = msgspec.field(default_factory=list)
+    tolerance: dict[str, Positive] = msgspec.field(default_factory=dict)
 
 
 class Certificate(Record, frozen=True, kw_only=True):
