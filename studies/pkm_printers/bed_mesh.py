@@ -6,6 +6,8 @@ everywhere. What the level of a mesh refers to is not the trigger height of the
 calibration, so each mesh has an offset of its own.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import re
@@ -61,6 +63,20 @@ def contact_row(order: int, point: ProbedPoint, setup: str, height: float) -> Ro
     return label | pose | ({"height_mm": repr(height)} if height else {})
 
 
+def offset_sentence(offset: Offset, source: str, places: str) -> str:
+    """Where a probe is (2,), mm, from the nozzle by its source; no full stop.
+
+    places  which ones the nozzle was off then
+    """
+    x, y = offset
+    if not (x or y):
+        return f"Places: those of the nozzle, where the probe is ({source})"
+    return (
+        f"Places: the probe is at x {x:+g}, y {y:+g} mm of the nozzle ({source}), so the"
+        f" nozzle was at x {0.0 - x:+g}, y {0.0 - y:+g} mm of {places}"
+    )
+
+
 # Heights that a firmware probed at the nodes of a grid.
 
 PLACE_TOLERANCE_MM = 0.1  #: mm; places of a mesh are rounded by as much
@@ -85,6 +101,22 @@ class BedMesh:
     points: tuple[ProbedPoint, ...]
     left_out: int = 0
     because: str = ""
+
+    @classmethod
+    def of_grid(
+        cls, name: str, x: Array, y: Array, heights: Array, probe: Offset, because: str
+    ) -> BedMesh:
+        """A mesh of heights (ny, nx) at places (nx,), (ny,) of a probe, all mm.
+
+        A height is NaN at a node that was not probed. The probe is at a place (2,) from
+        the nozzle.
+        """
+        points = tuple(
+            ProbedPoint(float(x[j] - probe[0]), float(y[i] - probe[1]), float(z), probe)
+            for (i, j), z in np.ndenumerate(heights)
+            if math.isfinite(z)
+        )
+        return cls(name, points, heights.size - len(points), because)
 
     @property
     def setup(self) -> str:

@@ -29,15 +29,13 @@ FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version|factors)\s*=(.*)")
 def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
     """The numbers of the lines that a user added, by name. Raises InputError."""
     facts = {}
-    for line in lines:
-        match = FACT.fullmatch(line.text)
-        if match is None or match[1] in (VERSION, FACTORS):
+    for name, (line, text) in _stated(lines).items():
+        if name in (VERSION, FACTORS):
             continue
-        name = match[1]
         if name not in COUNTS:
             remedy = suggest(name, [*COUNTS, VERSION])
             raise line.error("unknown name", remedy, name)
-        cells = match[2].split(",")
+        cells = text.split(",")
         if len(cells) != COUNTS[name]:
             problem = f"{len(cells)} numbers, where {COUNTS[name]} belong"
             raise line.error(problem, "separate numbers by commas", name)
@@ -55,7 +53,7 @@ def trims(
 
 def version(lines: Sequence[TextLine]) -> str | None:
     """The version of the firmware as a user states it; None without."""
-    stated = _stated(lines, VERSION)
+    stated = _stated(lines).get(VERSION)
     return None if stated is None else stated[1]
 
 
@@ -64,7 +62,7 @@ def factors(
     parameters: Mapping[int, tuple[str, ...]] = delta_geometry.FACTORS,
 ) -> tuple[str, ...] | None:
     """Parameters by the number of factors wanted; None without. Raises InputError."""
-    stated = _stated(lines, FACTORS)
+    stated = _stated(lines).get(FACTORS)
     if stated is None:
         return None
     line, text = stated
@@ -75,11 +73,7 @@ def factors(
     return parameters[int(text)]
 
 
-def _stated(lines: Sequence[TextLine], name: str) -> tuple[TextLine, str] | None:
-    """The last line that a user added by this name, and its text; None without."""
-    stated = None
-    for line in lines:
-        match = FACT.fullmatch(line.text)
-        if match is not None and match[1] == name:
-            stated = line, match[2].strip()
-    return stated
+def _stated(lines: Sequence[TextLine]) -> dict[str, tuple[TextLine, str]]:
+    """The last line that a user added of each name, and its text."""
+    matches = ((line, FACT.fullmatch(line.text)) for line in lines)
+    return {match[1]: (line, match[2].strip()) for line, match in matches if match}

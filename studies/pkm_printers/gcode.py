@@ -96,6 +96,10 @@ class Command:
             raise line.error(problem, remedy, f"{self.name} {letter}")
         return [finite(cell, line) for cell in cells]
 
+    def text_of(self, letters: Iterable[str]) -> str:
+        """These words as written; those that it lacks are left out."""
+        return " ".join(f"{k}{self.words[k]}" for k in letters if k in self.words)
+
     def numbers(self, letters: str) -> Array:
         """Numbers (n,) of words; 0 of those that it lacks. Raises InputError."""
         return np.array([self.number(letter, 0.0) for letter in letters])

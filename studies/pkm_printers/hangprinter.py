@@ -25,7 +25,7 @@ from pkm_printers.delta_study import controller_text
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
-from pkm_studies.base import InputError, Location
+from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
@@ -36,9 +36,7 @@ from pkm_studies.importers import (
     imported_study,
     read_tables,
 )
-from pkm_studies.resolve import described_machine
 from pkm_studies.tables import ControllerTable, MachineTable
-from pkm_studies.user_code import Origin
 
 LETTERS: Final = "ABCDI"  #: letters of the anchors in the firmware's order
 MODEL: Final = "cable_robot"
@@ -107,21 +105,19 @@ class HangprinterImporter:
         if len(places) > len(turns):
             problem = f"{len(places)} places, but {len(turns)} poses of the motors"
             raise InputError(problem, "give the motors of each place", file="x, y, z")
-        machine = described_machine(
-            table, Origin.command(request.consent), Location("")
-        )
+        model = Model.from_table(table, request.consent)
         file = next(t.file for t in tables if set(motors) <= set(t.header))
-        check_motor_unit(machine, turns, places, file)
+        check_motor_unit(model.machine, turns, places, file)
         text = imported_study(
             request,
-            Model(machine, table),
+            model,
             "Hangprinter",
             *_setups(len(motors), len(places)),
             "home" if len(places) else "best_fit",
         )
         forces = _cells(tables, [f"F{motor}" for motor in motors])
         keep = {
-            c.name: " ".join(f"{k}{v}" for k, v in c.words.items() if k not in letters)
+            c.name: c.text_of(k for k in c.words if k not in letters)
             for c, letters in zip((anchors, spools), WRITTEN, strict=True)
         }
         controller = ControllerTable(firmware="rrf", keep=keep)
@@ -369,11 +365,10 @@ def _write(compensation: Compensation) -> Texts:
     phrases = [f"{k}{v}" for k, v in zip(LETTERS, cells, strict=False)]
     spools = ":".join(f"{v:.4f}" for v in units.from_si(np.array(radii), "mm"))
     lines = [
-        *(f"; {sentence}" for sentence in compensation.comments),
         f"M669 K6 N{count} {' '.join(phrases)} {retained[0]}",
         f"M666 Q{units.number(buildup, 'mm'):.6f} R{spools} {retained[1]}",
     ]
-    return {".g": "\n".join([*lines, ""])}
+    return {".g": compensation.commented(";", lines)}
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:

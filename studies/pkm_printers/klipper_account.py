@@ -59,16 +59,10 @@ PRINTER: Final[dict[str, Word]] = {
 STEPPER: Final[dict[str, Word]] = {
     **same(
         READ,
-        (
-            "arm_length",
-            "angle",
-            "position_endstop",
-            "rotation_distance",
-            "microsteps",
-            "full_steps_per_rotation",
-            "gear_ratio",
-            "step_distance",
-            "delta_radius_offset",  # of the fork thhdragon/klipper
+        options(
+            "arm_length angle position_endstop rotation_distance microsteps"
+            " full_steps_per_rotation gear_ratio step_distance"
+            " delta_radius_offset"  # of the fork thhdragon/klipper
         ),
     ),
     **same(

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from oed.base import Array, Mask
-from pkm_printers.bed_mesh import BedMesh, ProbedPoint, copied_margin
+from pkm_printers.bed_mesh import BedMesh, copied_margin
 from pkm_printers.delta_study import Offset
 from pkm_studies import files
 from pkm_studies.base import InputError
@@ -254,16 +254,9 @@ def _mesh(config: KlipperConfig, section: str) -> BedMesh:
             "remove the profile from a copy of the file",
         )
     unread = margin | _is_in_faulty_region(config, x, y)
-    offset = probe_offset(config)
-    rows, columns = np.nonzero(~unread)
-    points = [
-        ProbedPoint(
-            float(x[j] - offset[0]), float(y[i] - offset[1]), float(z[i, j]), offset
-        )
-        for i, j in zip(rows, columns, strict=True)
-    ]
+    z = np.where(unread, np.nan, z)
     name = section.removeprefix(PREFIX).strip()
-    return BedMesh(name, tuple(points), int(unread.sum()), MARGIN)
+    return BedMesh.of_grid(name, x, y, z, probe_offset(config), MARGIN)
 
 
 def _heights(config: KlipperConfig, section: str) -> Array:

@@ -28,9 +28,7 @@ def write(compensation: Compensation) -> Texts:
     """The options that calibration changes, with Klipper's six decimals and trims."""
     by_tower = bool(trims(compensation, NAME, "radius_trim_mm").any())
     numbers = delta_numbers(compensation, NAME, by_tower=by_tower)
-    lines = [f"# {sentence}" for sentence in compensation.comments]
-    lines.append(f"# {WHERE}")
-    lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
+    lines = [f"# {WHERE}", "", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
     rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)
     for k, (tower, endstop, arm, angle) in enumerate(rows):
         lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
@@ -41,7 +39,7 @@ def write(compensation: Compensation) -> Texts:
         lines += ["", "[bed_tilt]"]
         rises = zip("xy", numbers.bed_slope, strict=True)
         lines += [f"{axis}_adjust: {rise:.8f}" for axis, rise in rises]
-    return {".cfg": "\n".join([*lines, ""])}
+    return {".cfg": compensation.commented("#", lines)}
 
 
 def notes(compensation: Compensation) -> tuple[str, ...]:

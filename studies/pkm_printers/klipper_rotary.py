@@ -85,8 +85,7 @@ def rotary_geometry(config: KlipperConfig) -> RotaryGeometry:
 def _write(compensation: Compensation) -> Texts:
     """The options that calibration changes, with Klipper's own six decimals."""
     geometry = identified_geometry(compensation)
-    lines = [f"# {sentence}" for sentence in compensation.comments]
-    lines += [f"# {WHERE}", "", "[printer]", f"shoulder_radius: {geometry.radius:.6f}"]
+    lines = [f"# {WHERE}", "", "[printer]", f"shoulder_radius: {geometry.radius:.6f}"]
     lines.append(f"shoulder_height: {geometry.height:.6f}")
     for k, stepper in enumerate(STEPPERS):
         options = {
@@ -96,7 +95,7 @@ def _write(compensation: Compensation) -> Texts:
             "position_endstop": geometry.stop_heights[k],
         }
         lines += ["", f"[{stepper}]", *(f"{o}: {v:.6f}" for o, v in options.items())]
-    return {".cfg": "\n".join([*lines, ""])}
+    return {".cfg": compensation.commented("#", lines)}
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:

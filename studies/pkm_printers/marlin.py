@@ -316,18 +316,12 @@ def mesh_grids(
     count_y, count_x = heights.shape
     x_ends, y_ends = (end for end in ends if end is not None)
     x, y = np.linspace(*x_ends, count_x), np.linspace(*y_ends, count_y)
-    middle = np.array([x.mean(), y.mean()])
     reach = settings.get("mesh_radius_mm", (min(np.ptp(x), np.ptp(y)) / 2.0,))[0]
-    points = [
-        ProbedPoint(float(px) - offset[0], float(py) - offset[1], float(z), offset)
-        for py, row in zip(y, heights, strict=True)
-        for px, z in zip(x, row, strict=True)
-        if math.isfinite(z)
-        and math.hypot(px - middle[0], py - middle[1]) <= reach + PLACE_TOLERANCE_MM
-    ]
-    if _share_among(points, contacts) > 0.5:
+    away = np.hypot(x - x.mean(), (y - y.mean())[:, None])
+    heights[away > reach + PLACE_TOLERANCE_MM] = np.nan
+    mesh = BedMesh.of_grid("G29", x, y, heights, offset, OUTSIDE_GRID)
+    if _share_among(mesh.points, contacts) > 0.5:
         return [], [GRID_READ_TWICE.format(line=lines[start_line].number)]
-    mesh = BedMesh("G29", tuple(points), heights.size - len(points), OUTSIDE_GRID)
     notes = []
     if len(starts) > 1:
         notes.append(f"Not read: {len(starts) - 1} earlier grids of G29.")

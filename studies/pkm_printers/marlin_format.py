@@ -100,15 +100,10 @@ def write(compensation: Compensation) -> Texts:
     if target.b == ROD_TRIM:
         trim = rods - rod
         phrases.append(f"A{trim[0]:.4f} B{trim[1]:.4f} C{trim[2]:.4f}")
-    lines = [f"; {sentence}" for sentence in compensation.comments]
     store = "M500 ; store" if target.is_sure else "; M500 stores it, once it is checked"
-    lines += [
-        " ".join(phrases),
-        f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}",
-        store,
-        "",
-    ]
-    return {".gcode": "\n".join(lines)}
+    stops = f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}"
+    lines = [" ".join(phrases), stops, store]
+    return {".gcode": compensation.commented(";", lines)}
 
 
 def notes(compensation: Compensation) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from scipy import optimize
 
 from oed.base import Array
 from pkm_printers import gcode
-from pkm_printers.bed_mesh import ProbedPoint
+from pkm_printers.bed_mesh import ProbedPoint, offset_sentence
 from pkm_printers.delta_geometry import DeltaGeometry
 from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_printers.marlin_version import INNER, NOT_READ, RADIUS, PossibleRules
@@ -240,69 +240,34 @@ class Report:
     line: TextLine
     #: None where the log does not show how G33 was asked for
     words: Mapping[str, str] | None
+    settings: Settings  #: in force when it began
 
+    def contacts(
+        self,
+        lines: Sequence[TextLine],
+        numbers: Mapping[str, tuple[float, ...]],
+        rules: PossibleRules,
+        notes: list[str],
+    ) -> list[Contact]:
+        """The heights where they were probed; adds sentences to `notes`.
 
-class ReportScan:
-    """Follows a log for reports of G33."""
+        numbers  numbers of lines that a user added
 
-    def __init__(self) -> None:
-        self.reports: list[Report] = []
-        self._words: Mapping[str, str] | None = None
-        self._is_new = False
-
-    def take_request(self, line: TextLine) -> None:
-        """Take a line that may ask for G33, or say that it begins."""
-        if BEGINS.search(line.text):
-            if not self._is_new:
-                self._words = None
-            self._is_new = False
-            return
-        for command in gcode.commands([line], "G33"):
-            self._words = command.words
-            self._is_new = True
-
-    def take(self, line: TextLine) -> bool:
-        """Take a line of a report; whether it begins a new one."""
-        begun = False
-        for name, value in HEIGHT.findall(line.text):
-            if name == "c" or not self.reports:
-                self.reports.append(Report({}, line, self._words))
-                begun = True
-            report = self.reports[-1]
-            report.heights[name] = gcode.finite(value, line)
-            self.reports[-1] = dataclasses.replace(report, line=line)
-        return begun
-
-
-def report_contacts(
-    lines: Sequence[TextLine],
-    report: Report,
-    delta: Command,
-    probe: Command,
-    numbers: Mapping[str, tuple[float, ...]],
-    rules: PossibleRules,
-    notes: list[str],
-) -> list[Contact]:
-    """The heights of a report where they were probed; adds sentences.
-
-    delta, probe  M665 and M851 as they were
-    numbers       numbers of lines that a user added
-
-    G33 puts the nozzle on its places, or with O the probe. Raises InputError.
-    """
-    radius = _radius(lines, report, delta, probe, numbers, rules, notes)
-    words = report.words or {}
-    points, unsure = _points(report)
-    circles = rules.agreed("circles")
-    if circles is None:
-        _check_known(report, points, rules)
-    contacts = [
-        mean_contact(
-            name, height, radius, points, circles or INNER, is_probe="O" in words
-        )
-        for name, height in report.heights.items()
-    ]
-    return [dataclasses.replace(contact, unsure=unsure) for contact in contacts]
+        G33 puts the nozzle on its places, or with O the probe. Raises InputError.
+        """
+        radius = _radius(lines, self, numbers, rules, notes)
+        points, unsure = _points(self)
+        circles = rules.agreed("circles")
+        if circles is None:
+            _check_known(self, points, rules)
+        is_probe = "O" in (self.words or {})
+        contacts = [
+            mean_contact(
+                name, height, radius, points, circles or INNER, is_probe=is_probe
+            )
+            for name, height in self.heights.items()
+        ]
+        return [dataclasses.replace(contact, unsure=unsure) for contact in contacts]
 
 
 def _points(report: Report) -> tuple[int, TextLine | None]:
@@ -338,8 +303,6 @@ def _check_known(report: Report, points: int, rules: PossibleRules) -> None:
 def _radius(
     lines: Sequence[TextLine],
     report: Report,
-    delta: Command,
-    probe: Command,
     numbers: Mapping[str, tuple[float, ...]],
     rules: PossibleRules,
     notes: list[str],
@@ -351,8 +314,9 @@ def _radius(
     printed = [gcode.finite(match[1], line) for line, match in matches if match]
     if printed:
         return printed[-1]
-    offset = [probe.number(letter, 0.0) for letter in "XY"]
-    if rules.agreed("b") == RADIUS and "B" in delta.words and not any(offset):
+    delta = report.settings.command("M665")
+    offset = report.settings.command("M851").numbers("XY")
+    if rules.agreed("b") == RADIUS and "B" in delta.words and not offset.any():
         notes.append("G33 probed at the radius of calibration, M665 B.")
         return delta.number("B")
     raise report.line.error(
@@ -432,14 +396,6 @@ class Probing:
     offset: tuple[float, float]  #: of the probe from the nozzle (2,), mm
 
 
-@dataclasses.dataclass(frozen=True)
-class _Taken:
-    """A contact with the settings that it was probed with."""
-
-    contact: Contact
-    settings: Settings
-
-
 def probing(
     lines: Sequence[TextLine],
     numbers: Mapping[str, tuple[float, ...]],
@@ -450,33 +406,27 @@ def probing(
     for number, line in enumerate(lines):
         scan.take(line, number)
     taken, notes = list(scan.taken), list(scan.notes)
-    reports = scan.reports.reports
-    if len(reports) > 1:
-        notes.append(f"Not read: {len(reports) - 1} earlier reports of G33.")
-    if reports:
-        settings = scan.settings_of[len(reports) - 1]
-        delta, probe = settings.command("M665"), settings.command("M851")
-        contacts = report_contacts(
-            lines, reports[-1], delta, probe, numbers, rules, notes
-        )
-        taken += [_Taken(contact, settings) for contact in contacts]
+    if len(scan.reports) > 1:
+        notes.append(f"Not read: {len(scan.reports) - 1} earlier reports of G33.")
+    for report in scan.reports[-1:]:
+        contacts = report.contacts(lines, numbers, rules, notes)
+        taken += [(contact, report.settings) for contact in contacts]
     if not taken:
         files_read = gcode.files_of(lines)
         raise InputError("no probed points in it", NO_POINTS, file=files_read)
-    taken.sort(key=lambda one: one.settings.at)
-    settings = taken[-1].settings
+    taken.sort(key=lambda one: one[1].at)
+    settings = taken[-1][1]
+    contacts = [contact for contact, _ in taken]
     if settings.is_complete:
         wanted = settings.geometry(rules)
-        used = [one for one in taken if one.settings.geometry(rules) == wanted]
-        if len(used) < len(taken):
+        contacts = [c for c, stated in taken if stated.geometry(rules) == wanted]
+        if len(contacts) < len(taken):
             notes.append(
-                f"Not read: {len(taken) - len(used)} points that were probed with"
+                f"Not read: {len(taken) - len(contacts)} points that were probed with"
                 " another geometry than the last one."
             )
     else:
-        used = taken
         settings = scan.settings(lines[-1], len(lines))
-    contacts = [one.contact for one in used]
     offset = _offset(settings, numbers, contacts, notes)
     of_nozzle = [contact.moved_to_nozzle(offset) for contact in contacts]
     return Probing(of_nozzle, settings, notes, offset)
@@ -489,10 +439,13 @@ class _Scan:
         self.rules = rules
         self.words: dict[str, dict[str, str]] = {}
         self.places: dict[str, TextLine] = {}
-        self.taken: list[_Taken] = []
-        self.reports = ReportScan()
-        self.settings_of: list[Settings] = []
+        #: single contacts, each with the settings that it was probed with
+        self.taken: list[tuple[Contact, Settings]] = []
+        self.reports: list[Report] = []
         self.notes: list[str] = []
+        #: of the last G33, and whether it did not begin yet
+        self._asked: Mapping[str, str] | None = None
+        self._is_new = False
 
     def settings(self, line: TextLine, number: int) -> Settings:
         """The settings as they are now."""
@@ -503,7 +456,7 @@ class _Scan:
         """Take one line."""
         for command in gcode.commands([line], *FOLLOWED):
             self._take_command(command)
-        self.reports.take_request(line)
+        self._take_request(line)
         match = BED.search(line.text)
         if match is None and BED_LINE.search(line.text):
             problem = "this is no point: Bed X: Y: Z: with a number each"
@@ -511,11 +464,33 @@ class _Scan:
         if match:
             x, y, z = (gcode.finite(match[k], line) for k in (1, 2, 3))
             contact = Contact.single(x, y, z, is_probe=True)
-            self.taken.append(_Taken(contact, self.settings(line, number)))
+            self.taken.append((contact, self.settings(line, number)))
         if REPORT.search(line.text):
-            self._take_change(line)
-            if self.reports.take(line):
-                self.settings_of.append(self.settings(line, number))
+            for stated, value in CHANGED.findall(line.text):
+                name, letter = WORD_OF[stated]
+                self.words.setdefault(name, {})[letter] = value
+            self._take_heights(line, number)
+
+    def _take_request(self, line: TextLine) -> None:
+        """Take a line that may ask for G33, or say that it begins."""
+        if BEGINS.search(line.text):
+            if not self._is_new:
+                self._asked = None
+            self._is_new = False
+            return
+        for command in gcode.commands([line], "G33"):
+            self._asked = command.words
+            self._is_new = True
+
+    def _take_heights(self, line: TextLine, number: int) -> None:
+        """Take heights of a report; the middle begins a new one."""
+        for name, value in HEIGHT.findall(line.text):
+            if name == "c" or not self.reports:
+                settings = self.settings(line, number)
+                self.reports.append(Report({}, line, self._asked, settings))
+            report = self.reports[-1]
+            report.heights[name] = gcode.finite(value, line)
+            self.reports[-1] = dataclasses.replace(report, line=line)
 
     def _take_command(self, command: Command) -> None:
         words = dict(command.words)
@@ -574,12 +549,6 @@ class _Scan:
                 "M851 Z",
             )
 
-    def _take_change(self, line: TextLine) -> None:
-        """What G33 prints of the geometry that it has set."""
-        for name, value in CHANGED.findall(line.text):
-            command, letter = WORD_OF[name]
-            self.words.setdefault(command, {})[letter] = value
-
 
 def _offset(
     settings: Settings,
@@ -605,11 +574,5 @@ def _offset(
             " probe_offset_mm = x, y, or the fit bends."
         )
         return 0.0, 0.0
-    if x or y:
-        notes.append(
-            f"Places: the probe is at x {x:+g}, y {y:+g} mm of the nozzle ({source}), so"
-            f" the nozzle was at x {0.0 - x:+g}, y {0.0 - y:+g} mm of the printed places."
-        )
-    else:
-        notes.append(f"Places: those of the nozzle, where the probe is ({source}).")
+    notes.append(f"{offset_sentence((x, y), source, 'the printed places')}.")
     return x, y

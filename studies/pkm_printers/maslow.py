@@ -25,9 +25,10 @@ from pkm_printers.words import (
     WrittenWord,
     account,
     costs,
+    options,
     same,
 )
-from pkm_studies.base import InputError, Location
+from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
 from pkm_studies.importers import (
     ImportedSession,
@@ -36,9 +37,7 @@ from pkm_studies.importers import (
     Row,
     imported_study,
 )
-from pkm_studies.resolve import described_machine
 from pkm_studies.tables import MachineTable
-from pkm_studies.user_code import Origin
 
 #: corners in the order of the machine's cables
 CORNERS: Final = ("tl", "tr", "br", "bl")
@@ -79,15 +78,10 @@ ANCHORS: Final[dict[str, Word]] = {
     ),
     **same(
         HARMLESS,
-        (
-            "vertical",
-            "calibration_grid_width_mm_X",
-            "calibration_grid_height_mm_Y",
-            "calibration_grid_size",
-            "Retract_Current_Threshold",
-            "Calibration_Current_Threshold",
-            "Acceptable_Calibration_Threshold",
-            "Extend_Dist",
+        options(
+            "vertical calibration_grid_width_mm_X calibration_grid_height_mm_Y"
+            " calibration_grid_size Retract_Current_Threshold Extend_Dist"
+            " Calibration_Current_Threshold Acceptable_Calibration_Threshold"
         ),
     ),
     OTHERS: costs(
@@ -139,13 +133,10 @@ class MaslowImporter:
                 ),
             },
         )
-        machine = described_machine(
-            table, Origin.command(request.consent), Location("")
-        )
         setup = {"name": "belts", "instrument": "redundancy"}
         text = imported_study(
             request,
-            Model(machine, table),
+            Model.from_table(table, request.consent),
             "Maslow, its belts calibrated by themselves",
             [setup],
             noise,

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from pkm_printers import facts, gcode, rotary_delta, rrf_five_bar, rrf_rotary
-from pkm_printers.bed_mesh import BedMesh, ProbedPoint
+from pkm_printers.bed_mesh import BedMesh, ProbedPoint, offset_sentence
 from pkm_printers.delta_geometry import FACTORS, TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
 from pkm_printers.delta_study import OTHER_MACHINES, PrinterGeometry
@@ -152,8 +152,7 @@ def _linear(order: ExecutionOrder, numbers: dict[str, tuple[float, ...]]) -> _Pr
     """A linear delta by M665 and M666. Raises InputError."""
     delta = gcode.merged(order.lines, "M665", "give the config.g that has M665")
     stops = gcode.optional(order.lines, "M666")
-    reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
-    controller = _controller(order, {"M665": " ".join(reach)}, numbers)
+    controller = _controller(order, {"M665": delta.text_of("BS")}, numbers)
     return _Printer(linear_geometry(delta, stops, numbers), controller, FACTORS, 0.0)
 
 
@@ -226,32 +225,26 @@ def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
         path, limit=MAX_MESH_BYTES, what="height map", is_foreign=True
     ).splitlines()
     grid = _mesh_grid(lines, path)
-    x = grid["xmin"] + grid["xspacing"] * np.arange(round(grid["xnum"]))
-    y = grid["ymin"] + grid["yspacing"] * np.arange(round(grid["ynum"]))
+    x, y = (
+        np.array(grid[f"{a}min"] + grid[f"{a}spacing"] * np.arange(grid[f"{a}num"]))
+        for a in "xy"
+    )
     rows = [(k, line) for k, line in enumerate(lines[3:], start=4) if line.strip()]
     if len(rows) != len(y):
         problem = f"{len(rows)} rows of heights, where the grid has {len(y)}"
         raise _mesh_error(path, len(lines), problem)
-    points = []
-    for (number, line), along in zip(rows, y, strict=True):
+    heights = np.full((len(y), len(x)), np.nan)
+    for k, (number, line) in enumerate(rows):
         cells = [cell.strip() for cell in line.split(",")]
         if len(cells) != len(x):
             problem = f"{len(cells)} heights, where the grid has {len(x)}"
             raise _mesh_error(path, number, problem)
-        for across, cell in zip(x, cells, strict=True):
-            if cell == "0":
-                continue
-            height = _mesh_number(cell, path, number)
-            points.append(
-                ProbedPoint(
-                    float(across) - offset[0], float(along) - offset[1], height, offset
-                )
-            )
+        probed = [j for j, cell in enumerate(cells) if cell != "0"]
+        heights[k, probed] = [_mesh_number(cells[j], path, number) for j in probed]
     for places, axis in ((x, "x"), (y, "y")):
         if places[-1] > grid[f"{axis}max"] + MESH_ROUNDING:
             raise _mesh_error(path, 3, f"its nodes go beyond its {axis}max")
-    left_out = len(x) * len(y) - len(points)
-    return BedMesh(path.stem, tuple(points), left_out, NODES_NOT_PROBED)
+    return BedMesh.of_grid(path.stem, x, y, heights, offset, NODES_NOT_PROBED)
 
 
 def _mesh_grid(lines: Sequence[str], path: Path) -> dict[str, float]:
@@ -482,23 +475,14 @@ def _places_text(points: Mapping[int, ProbePoint], is_given: bool) -> str:
     elif alike in (set(), {None}):
         sentence = "Places: those of the nozzle; there is no G31 with X and Y"
     else:
-        sentence = _offset_text(alike.pop() or (0.0, 0.0), source)
+        offset = alike.pop() or (0.0, 0.0)
+        sentence = offset_sentence(offset, source, "the places of G30")
     if typed:
         sentence += (
             f"; the height of point {', '.join(typed)} was typed (Z of G30), and is that of"
             " the nozzle at the place itself"
         )
     return sentence + "."
-
-
-def _offset_text(offset: tuple[float, float], source: str) -> str:
-    x, y = offset
-    if not (x or y):
-        return f"Places: those of the nozzle, where the probe is ({source})"
-    return (
-        f"Places: the probe is at x {x:+g}, y {y:+g} mm of the nozzle ({source}), so the"
-        f" nozzle was at x {0.0 - x:+g}, y {0.0 - y:+g} mm of the places of G30"
-    )
 
 
 def _check_not_calibrated(lines: Sequence[TextLine], heights: TextLine) -> None:

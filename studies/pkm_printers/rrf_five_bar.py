@@ -21,7 +21,7 @@ from pkm_printers.gcode import Command
 from pkm_printers.rrf_rotary import OF_DELTAS
 from pkm_printers.rrf_sequence import WORDS, execution_order
 from pkm_printers.words import HARMLESS, READ, WordTable, same
-from pkm_studies.base import InputError, Location
+from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.importers import (
     ImportedSession,
@@ -30,9 +30,7 @@ from pkm_studies.importers import (
     imported_study,
     read_tables,
 )
-from pkm_studies.resolve import described_machine
 from pkm_studies.tables import ControllerTable, MachineTable
-from pkm_studies.user_code import Origin
 
 KINEMATICS: Final = "9"
 MODEL: Final = "five_bar"
@@ -108,13 +106,16 @@ def five_bar_session(request: ImportRequest, tables: Sequence[Path]) -> Imported
             "reach_mm": float(np.ptp(places, axis=0).max() / 2.0),
         },
     )
-    machine = described_machine(table, Origin.command(request.consent), Location(""))
     notes = [*order.notes, *account.sentences()]
     text = imported_study(
-        request, Model(machine, table), "Five-bar", [SETUP], NOISE, "best_fit"
+        request,
+        Model.from_table(table, request.consent),
+        "Five-bar",
+        [SETUP],
+        NOISE,
+        "best_fit",
     )
-    phrases = [f"{k}{command.words[k]}" for k in KEPT if k in command.words]
-    controller = ControllerTable(firmware="rrf", keep={"M669": " ".join(phrases)})
+    controller = ControllerTable(firmware="rrf", keep={"M669": command.text_of(KEPT)})
     rows = [
         {"setup": "places", "run": "1", "order": str(k + 1)}
         | {f"{c}_mm": repr(v) for c, v in zip(COLUMNS, row, strict=True)}
@@ -181,9 +182,8 @@ def _write(compensation: Compensation) -> Texts:
     stated["D"] += ["0", "0"]  # the firmware asks for four
     stated["B"] = [f"{v:.5f}" for v in read("zero{}", "deg")]
     phrases = [f"{k}{':'.join(cells)}" for k, cells in stated.items()]
-    lines = [f"; {sentence}" for sentence in compensation.comments]
-    lines += [" ".join([f"M669 K{KINEMATICS}", *phrases, retained]).rstrip(), ""]
-    return {".g": "\n".join(lines)}
+    line = " ".join([f"M669 K{KINEMATICS}", *phrases, retained]).rstrip()
+    return {".g": compensation.commented(";", [line])}
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:

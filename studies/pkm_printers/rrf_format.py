@@ -68,7 +68,6 @@ def write(compensation: Compensation) -> Texts:
     height = float(np.mean(numbers.endstops))
     adjust = numbers.endstops - height
     arms = _rods(numbers)
-    lines = [f"; {sentence}" for sentence in compensation.comments]
     rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
     delta = (
         f"M665 L{rods} R{numbers.radius:.4f}"
@@ -78,12 +77,11 @@ def write(compensation: Compensation) -> Texts:
     if has_slopes(compensation.machine):
         rise = 100.0 * numbers.bed_slope
         stops += f" A{rise[0]:.4f} B{rise[1]:.4f}"
-    lines += [
+    lines = [
         f"{delta} {retained_words(compensation, NAME, 'M665')}".rstrip(),
         f"{stops} {retained_words(compensation, NAME, 'M666')}".rstrip(),
-        "",
     ]
-    return {".g": "\n".join(lines)}
+    return {".g": compensation.commented(";", lines)}
 
 
 def _rods(numbers: DeltaGeometry) -> list[str]:

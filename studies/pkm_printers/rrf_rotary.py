@@ -67,9 +67,7 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
 
 def kinematics_words(lines: Sequence[TextLine]) -> dict[str, str]:
     """Words of M669 that are written back as they are; A holds what M666 counts from."""
-    delta = gcode.merged(lines, "M669", "")
-    phrases = [f"{k}{delta.words[k]}" for k in f"A{KEPT}" if k in delta.words]
-    return {"M669": " ".join(phrases)}
+    return {"M669": gcode.merged(lines, "M669", "").text_of(f"A{KEPT}")}
 
 
 def trigger_height(lines: Sequence[TextLine]) -> float:
@@ -98,16 +96,14 @@ def _write(compensation: Compensation) -> Texts:
     lean = (geometry.angles - TOWER_ANGLES + 180.0) % 360.0 - 180.0
     command = gcode.merged(gcode.lines_of(f"M669 {retained}"), "M669", "")
     adjust = geometry.endstops - _largest(command)
-    lines = [f"; {sentence}" for sentence in compensation.comments]
     lengths = (("U", geometry.upper), ("L", geometry.lower))
     arms = " ".join(f"{k}{':'.join(f'{v:.4f}' for v in row)}" for k, row in lengths)
-    lines += [
+    lines = [
         f"M669 K{KINEMATICS} R{geometry.radius:.4f} H{geometry.height:.4f} {arms}"
         f" {_letters(lean)} {retained}",
         f"M666 {_letters(adjust)}",
-        "",
     ]
-    return {".g": "\n".join(lines)}
+    return {".g": compensation.commented(";", lines)}
 
 
 def _letters(values: Array) -> str:

@@ -34,10 +34,11 @@ def write(compensation: Compensation) -> Texts:
         **dict(zip(RODS, numbers.arms - rod, strict=True)),
     }
     trims = dict(zip("XYZ", height - numbers.endstops, strict=True))
-    lines = [f"; {sentence}" for sentence in compensation.comments]
-    for name, setting in (("M665", values), ("M666", trims)):
-        lines.append(" ".join([name, *(f"{k}{v:.4f}" for k, v in setting.items())]))
-    return {".g": "\n".join([*lines, "M500 ; store", ""])}
+    lines = [
+        " ".join([name, *(f"{k}{v:.4f}" for k, v in setting.items())])
+        for name, setting in (("M665", values), ("M666", trims))
+    ]
+    return {".g": compensation.commented(";", [*lines, "M500 ; store"])}
 
 
 def _home_offset(compensation: Compensation) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,6 +108,11 @@ class Compensation:
         return [
             shorten(line, MAX_COMMENT_LENGTH) for line in (title, machine, *self.notes)
         ]
+
+    def commented(self, mark: str, lines: Iterable[str]) -> str:
+        """The text of a file: the comments, each behind a mark, then the lines."""
+        comments = [f"{mark} {comment}" for comment in self.comments]
+        return "\n".join([*comments, *lines, ""])
 
     def parameter(self, name: str) -> float:
         """An identified parameter, SI. Raises KeyError."""

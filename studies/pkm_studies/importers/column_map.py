@@ -27,7 +27,7 @@ from pkm_studies.importers.map_tables import ColumnMap
 from pkm_studies.resolve import described_machine, study_machine
 from pkm_studies.study import decode_table, tables_of
 from pkm_studies.tables import MachineTable, PredictionReference
-from pkm_studies.user_code import Origin
+from pkm_studies.user_code import Consent, Origin
 
 MAX_BYTES = 200_000
 
@@ -37,6 +37,12 @@ class Model(NamedTuple):
 
     machine: Machine
     table: MachineTable
+
+    @classmethod
+    def from_table(cls, table: MachineTable, consent: Consent) -> "Model":
+        """The machine of a table that names no file of the user's. Raises InputError."""
+        origin = Origin.command(consent)
+        return cls(described_machine(table, origin, Location("")), table)
 
     @property
     def described(self) -> str | MachineTable:
