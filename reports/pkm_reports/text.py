@@ -2,13 +2,13 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from oed import text as toolkit_text
 from oed import units
 from oed.result import Judgement
-from pkm_reports.missing import finite, or_nan
+from pkm_reports.missing import column, finite, or_nan
 
 MISSING: Final = "–"
 #: a verdict as a cell, and the mark of its row
@@ -110,6 +110,14 @@ def aligned(
     fractions = [f"{x:.{room}f}".partition(".")[2].rstrip("0") for x in sizes]
     decimals = max(map(len, fractions), default=0)
     return [fixed(x, decimals) for x in numbers]
+
+
+def aligned_columns(
+    rows: Sequence[Mapping[str, float | None]], most: int = 4
+) -> dict[str, list[str]]:
+    """The numbers of each name that any row has, as `aligned`."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: aligned(column(rows, name), most) for name in names}
 
 
 def decimals_for(sd: float | None) -> int:

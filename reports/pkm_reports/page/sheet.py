@@ -11,7 +11,7 @@ import msgspec
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
 from oed.safe_files import write_own
 from oed.text import shorten
-from pkm_reports import missing, text
+from pkm_reports import text
 from pkm_reports.blocks import Section
 from pkm_reports.page import document
 from pkm_reports.page.document import Content, footer
@@ -175,9 +175,9 @@ def _table(
         # joints that are to be recorded have cells to write in instead
         joints = {k: v for k, v in pose.joints.items() if k not in channels}
         named.append(pose.command | joints)
-    for key in dict.fromkeys(key for values in named for key in values):
-        titles.append(text.heading(key))
-        cells.append(text.aligned(missing.column(named, key), most=3))
+    columns = text.aligned_columns(named, most=3)
+    titles += map(text.heading, columns)
+    cells += columns.values()
     written = [*map(text.heading, channels), *covariates]
     titles += written
     empty = [""] * len(written)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from oed.result import (
     PromiseRecord,
     RunCurve,
     StudyResult,
+    VerdictRecord,
     VerificationSection,
 )
 from pkm_reports import missing, style, text
@@ -42,9 +43,9 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter += _verdict(verification)
     chapter.append(Paragraph(_introduction(acceptance)))
     chapter += headed_list("The promise rests on:", acceptance.conditions)
-    chapter.append(_demands(acceptance))
+    chapter.append(_demands(acceptance.components))
     if acceptance.further:
-        chapter.append(_further_demands(acceptance))
+        chapter.append(_demands(acceptance.further, further=True))
     chapter.append(_poses(acceptance))
     return chapter
 
@@ -55,7 +56,8 @@ def printed(result: StudyResult) -> list[Block]:
         return []
     test = result.verification
     verdict_blocks = [] if test is None else _verdict(test)
-    return [*verdict_blocks, _demands(result.acceptance), _poses(result.acceptance)]
+    demands = _demands(result.acceptance.components)
+    return [*verdict_blocks, demands, _poses(result.acceptance)]
 
 
 def _runs(curves: Sequence[RunCurve]) -> list[Block]:
@@ -97,57 +99,38 @@ def _introduction(acceptance: AcceptanceSection) -> str:
     )
 
 
-def _demands(acceptance: AcceptanceSection) -> Table:
-    columns = [
-        TableColumn("Component"),
-        *TableColumn.numbers(
-            "Promised rms", "Meets to", "Fails above", "Uncertainty", "Power"
-        ),
-    ]
-    demands = acceptance.components.items()
-    rows = [[_component(name, d), *_demand(d)] for name, d in demands]
+def _demands(promises: Mapping[str, PromiseRecord], *, further: bool = False) -> Table:
+    """What is demanded of each component; `further` ones have additional axes or not."""
+    first = ("Without", "With: promised") if further else ("Promised rms",)
+    titles = (*first, "Meets to", "Fails above", "Uncertainty", "Power")
+    rows = []
+    for name, d in promises.items():
+        without = ["" if d.without is None else text.number(d.without)]
+        rows.append(
+            [
+                f"{name} [{text.unit_symbol(d.unit)}]",
+                *(without if further else []),
+                text.number(d.promised),
+                text.MISSING if d.confirms is None else text.number(d.confirms),
+                text.number(d.limit),
+                text.number(d.uncertainty, 2),
+                text.fixed(d.power, 2),
+            ]
+        )
     caption = (
         "Demands on the rms of the errors measured at the poses below. Between the two"
         " limits the test cannot tell; without a lower one its power is too small to"
         " confirm. Uncertainty: of one measured error, one standard deviation."
     )
-    return Table(columns, rows, caption)
-
-
-def _further_demands(acceptance: AcceptanceSection) -> Table:
-    columns = [
-        TableColumn("Component"),
-        *TableColumn.numbers("Without", "With: promised", "Meets to", "Fails above"),
-        *TableColumn.numbers("Uncertainty", "Power"),
-    ]
-    rows = [
-        [
-            _component(name, d),
-            "" if d.without is None else text.number(d.without),
-            *_demand(d),
-        ]
-        for name, d in acceptance.further.items()
-    ]
-    caption = (
-        "What no drive corrects, as rms errors without additional axes, and with axes that"
-        " take the known error back (columns with “offset” of the compensation table)."
+    if further:
+        caption = (
+            "What no drive corrects, as rms errors without additional axes, and with axes"
+            " that take the known error back (columns with “offset” of the compensation"
+            " table)."
+        )
+    return Table(
+        [TableColumn("Component"), *TableColumn.numbers(*titles)], rows, caption
     )
-    return Table(columns, rows, caption)
-
-
-def _component(name: str, demand: PromiseRecord) -> str:
-    return f"{name} [{text.unit_symbol(demand.unit)}]"
-
-
-def _demand(demand: PromiseRecord) -> list[str]:
-    """Cells of a demand: promised, both limits, uncertainty, power."""
-    return [
-        text.number(demand.promised),
-        text.MISSING if demand.confirms is None else text.number(demand.confirms),
-        text.number(demand.limit),
-        text.number(demand.uncertainty, 2),
-        text.fixed(demand.power, 2),
-    ]
 
 
 def _poses(acceptance: AcceptanceSection) -> Table:
@@ -157,44 +140,35 @@ def _poses(acceptance: AcceptanceSection) -> Table:
 
 
 def _verdict(verification: VerificationSection) -> list[Block]:
-    columns = [
-        TableColumn("Component"),
-        *TableColumn.numbers("Measured rms", "Limit", "Largest"),
-        TableColumn("Verdict"),
-    ]
-    rows, marks = [], []
-    for name, c in verification.components.items():
-        unit = text.unit_symbol(c.unit)
-        sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
-        rows.append([f"{name} [{unit}]", *sizes, text.VERDICTS[c.judgement]])
-        marks.append(text.MARKS[c.judgement])
     caption = f"Measured errors against their limits. {verdict(verification)}"
-    blocks: list[Block] = [Table(columns, rows, caption, marks)]
+    titles: tuple[str, ...] = ("Measured rms", "Limit", "Largest")
+    blocks: list[Block] = [_judged(verification.components, titles, caption)]
     if verification.further:
-        blocks.append(_further_verdict(verification))
+        titles = ("Without: rms", "With: rms", "Limit", "Largest")
+        caption = (
+            "What no drive corrects: measured errors without additional axes, and with"
+            " axes that take the known error back."
+        )
+        blocks.append(_judged(verification.further, titles, caption))
     if verification.positioning:
         blocks.append(_positioning(verification))
     return blocks
 
 
-def _further_verdict(verification: VerificationSection) -> Table:
-    columns = [
-        TableColumn("Component"),
-        *TableColumn.numbers("Without: rms", "With: rms", "Limit", "Largest"),
-        TableColumn("Verdict"),
-    ]
-    rows, marks = [], []
-    for name, c in verification.further.items():
+def _judged(
+    components: Mapping[str, VerdictRecord], titles: Sequence[str], caption: str
+) -> Table:
+    """Measured errors and verdicts; with four titles those without axes before."""
+    rows = []
+    for name, c in components.items():
         sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
         without = "" if c.without is None else text.number(c.without)
+        cells = [without, *sizes][-len(titles) :]
         title = f"{name} [{text.unit_symbol(c.unit)}]"
-        rows.append([title, without, *sizes, text.VERDICTS[c.judgement]])
-        marks.append(text.MARKS[c.judgement])
-    caption = (
-        "What no drive corrects: measured errors without additional axes, and with axes that"
-        " take the known error back."
-    )
-    return Table(columns, rows, caption, marks)
+        rows.append([title, *cells, text.VERDICTS[c.judgement]])
+    columns = [TableColumn("Component"), *TableColumn.numbers(*titles)]
+    marks = [text.MARKS[c.judgement] for c in components.values()]
+    return Table([*columns, TableColumn("Verdict")], rows, caption, marks)
 
 
 def _positioning(verification: VerificationSection) -> Table:

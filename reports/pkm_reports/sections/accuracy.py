@@ -17,7 +17,6 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
     StudyResult,
-    ToolAccuracy,
     UnmodelledLine,
 )
 from pkm_reports import missing, style, text
@@ -398,24 +397,15 @@ def _panel(
 
 def spread_of(component: ComponentAccuracy, state: State) -> SpreadRecord:
     """Errors of a component in one state."""
-    spreads = {
-        "before": component.before,
-        "after": component.after,
-        "known": component.known,
-    }
-    return spreads[state]
+    spread: SpreadRecord = getattr(component, state)
+    return spread
 
 
 def _set_limits(
     axes: Axes, group: Mapping[str, ComponentAccuracy], realised: Array
 ) -> None:
     """From a third of the smallest to twice the largest, so that no bar vanishes."""
-    states = [state for state, _, _ in BARS]
-    heights = [
-        spread_of(component, state).rms
-        for component in group.values()
-        for state in states
-    ]
+    heights = [spread_of(c, state).rms for c in group.values() for state, _, _ in BARS]
     sizes = np.array([*heights, *realised])
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     if sizes.size:
@@ -585,12 +575,8 @@ def _row(name: str, component: ComponentAccuracy, states: Sequence[State]) -> li
         "yes" if component.compensatable else "no",
     ]
     for state in states:
-        cells += _sizes(spread_of(component, state))
+        cells += spread_figures(spread_of(component, state))
     return cells
-
-
-def _sizes(spread: SpreadRecord) -> list[str]:
-    return spread_figures(spread)
 
 
 # -- virtual machine, budget, map ------------------------------------------------------
@@ -604,7 +590,7 @@ def _realised(
             predicted = prediction.components[name].after.rms
         ratio = spread.rms / predicted if predicted > 0.0 else math.nan
         ratios.append(ratio)
-        cells = [f"{name} [{text.unit_symbol(spread.unit)}]", *_sizes(spread)]
+        cells = [f"{name} [{text.unit_symbol(spread.unit)}]", *spread_figures(spread)]
         rows.append([*cells, text.number(predicted), text.fixed(ratio, 2)])
     columns = [
         TableColumn("Component"),
@@ -684,9 +670,18 @@ def range_blocks(prediction: PredictionSection) -> list[Block]:
     if any(spread.rms_interval for spread in after.values()):
         content.append(_intervals(after))
     if prediction.references:
-        content.append(_references(prediction.references))
+        references = {
+            text.meaning(name, FIGURE_NAMES): spreads
+            for name, spreads in prediction.references.items()
+        }
+        caption = "Errors after compensation against each reference."
+        content.append(_spread_table(references, caption))
     if prediction.tools:
-        content.append(_tools(prediction.tools))
+        tools = {
+            text.quantity(t.length, t.unit): t.components for t in prediction.tools
+        }
+        caption = "Errors after compensation at tools longer than the reference one."
+        content.append(_spread_table(tools, caption))
     return content
 
 
@@ -713,20 +708,19 @@ def _span(spread: SpreadRecord, figure: str) -> str:
     return f"{low} to {high}"
 
 
-def _references(references: Mapping[str, Mapping[str, SpreadRecord]]) -> Table:
+def _spread_table(
+    spreads: Mapping[str, Mapping[str, SpreadRecord]], caption: str
+) -> Table:
+    """Rms, p95 and max of each component, for each title of `spreads` side by side."""
     columns = [TableColumn("Component")]
-    for name in references:
-        columns += TableColumn.numbers(
-            f"{text.meaning(name, FIGURE_NAMES)}: rms", "p95", "max"
-        )
-    components = next(iter(references.values()))
+    for title in spreads:
+        columns += TableColumn.numbers(f"{title}: rms", "p95", "max")
     rows = []
-    for name, spread in components.items():
+    for name, spread in next(iter(spreads.values())).items():
         cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
-        for spreads in references.values():
-            cells += spread_figures(spreads[name])
+        for components in spreads.values():
+            cells += spread_figures(components[name])
         rows.append(cells)
-    caption = "Errors after compensation against each reference."
     return Table(columns, rows, caption)
 
 
@@ -739,25 +733,9 @@ def spread_figures(spread: SpreadRecord) -> list[str]:
     return cells
 
 
-def _tools(tools: Sequence[ToolAccuracy]) -> Table:
-    columns = [TableColumn("Component")]
-    for tool in tools:
-        length = text.quantity(tool.length, tool.unit)
-        columns += TableColumn.numbers(f"{length}: rms", "p95", "max")
-    rows = []
-    for name, spread in tools[0].components.items():
-        cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
-        for tool in tools:
-            cells += spread_figures(tool.components[name])
-        rows.append(cells)
-    caption = "Errors after compensation at tools longer than the reference one."
-    return Table(columns, rows, caption)
-
-
 # Blocks on the uncertainty budget: its lines, what to improve, effects outside it.
 
 MIN_SHARE: Final = 1e-3  #: size of a share below which it is no more than that
-Component_ = Mapping[str, ComponentAccuracy]
 #: what each kind of line is
 LINE_KINDS: Final = {
     "instrument": "the stated noise of single readings",
@@ -774,7 +752,7 @@ LINE_KINDS: Final = {
 }
 
 
-def budget_blocks(section: BudgetSection, components: Component_) -> list[Block]:
+def budget_blocks(section: BudgetSection, components: Components) -> list[Block]:
     """The lines, advice, and effects that are not modelled."""
     shown = [n for n, c in components.items() if c.compensatable] or list(components)
     units = {name: components[name].after.unit for name in shown}
@@ -792,7 +770,7 @@ def budget_blocks(section: BudgetSection, components: Component_) -> list[Block]
     return content
 
 
-def _axes(section: BudgetSection, components: Component_) -> Table:
+def _axes(section: BudgetSection, components: Components) -> Table:
     """What no drive corrects, without and with additional axes."""
     rows = [
         [

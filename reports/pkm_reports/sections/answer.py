@@ -225,7 +225,7 @@ def _cause_table(
         rows.append(
             [
                 "an effect of unknown form" if name == "unknown" else spoken(name),
-                _probability(chance),
+                gap_figures.chance_text(chance),
                 rms or text.MISSING,
                 remaining or text.MISSING,
                 own_size(name, corrected) or text.MISSING,
@@ -238,13 +238,6 @@ def _cause_table(
     )
     marks = ["chosen" if name in gap.selected else "" for name in ranked]
     return Table(columns, rows, caption, marks)
-
-
-def _probability(chance: float) -> str:
-    """In percent; never certainty."""
-    if chance > gap_figures.NEARLY_CERTAIN:
-        return f"> {text.percent(gap_figures.NEARLY_CERTAIN)}"
-    return text.percent(chance)
 
 
 def own_size(effect: str, corrected: CorrectedSection | None) -> str:
@@ -507,18 +500,16 @@ def _working_order(result: StudyResult) -> list[Block]:
     """The readings to take, in their order; of many, the first."""
     poses = [] if result.design is None else result.design.poses
     shown = poses[:MAX_READINGS]
-    names = list(dict.fromkeys(key for pose in shown for key in pose.command))
-    if not names:
+    commands = text.aligned_columns([pose.command for pose in shown])
+    if not commands:
         return []
     cells = [[str(k) for k in range(1, len(shown) + 1)]]
     columns = [*TableColumn.numbers("No.")]
     if len({pose.setup for pose in poses}) > 1:
         columns.append(TableColumn("Set-up"))
         cells.append([pose.setup for pose in shown])
-    for name in names:
-        columns += TableColumn.numbers(text.heading(name))
-        values = missing.column([pose.command for pose in shown], name)
-        cells.append(text.aligned(values))
+    columns += TableColumn.numbers(*map(text.heading, commands))
+    cells += commands.values()
     of = "" if len(shown) == len(poses) else f", the first {len(shown)} of them"
     caption = f"{text.count(len(poses), 'reading')} in their order{of}."
     return [Table(columns, transposed(cells), caption)]

@@ -216,20 +216,16 @@ def _effects(design: DesignSection) -> list[Block]:
         f" of them, the plan for a machine without effects {with_effects} by"
         f" {design.criterion}; on a machine without effects, this plan {alone}."
     )
-    columns = [
-        TableColumn("Error after compensation, rms", wide=True),
-        *TableColumn.numbers("before any reading", "this plan", "plan without effects"),
-    ]
-    rows = []
-    for key, value in allowed.accuracy.items():
-        stem, unit = text.split_unit(key)
-        values = (allowed.before[key], value, allowed.accuracy_without[key])
-        rows.append([stem, *(text.quantity(v, unit) for v in values)])
+    errors = {
+        "before any reading": allowed.before,
+        "this plan": allowed.accuracy,
+        "plan without effects": allowed.accuracy_without,
+    }
     caption = (
         "Predicted errors over the workspace of a machine with these effects, once all that"
         " is known is corrected."
     )
-    table = Table(columns, rows, caption)
+    table = stages.remaining_errors(errors, allowed.accuracy, caption)
     return [Paragraph(sentence), table, *stages.recording_blocks(allowed.recording)]
 
 

@@ -577,7 +577,13 @@ def explanation_blocks(gap: GapSection) -> list[Block]:
     """Explanations, the credible set, sizes of the effects."""
     content = answers(gap)
     if gap.answers and len(gap.set95) > 1:
-        content.append(_credible_set(gap))
+        caption = (
+            "Credible set: with 95 % probability one of these sets of effects acts, with or"
+            " without a remainder of unknown form. The remainder is named where it is more"
+            " likely than not. An effect stands for all that cannot be distinguished from"
+            " it."
+        )
+        content.append(_explanations(gap.set95, caption))
     if gap.sizes:
         content.append(_size_table(gap))
     return content
@@ -585,7 +591,13 @@ def explanation_blocks(gap: GapSection) -> list[Block]:
 
 def answers(gap: GapSection) -> list[Block]:
     """The explanations with their probabilities."""
-    return [_answers(gap)] if gap.answers else []
+    if not gap.answers:
+        return []
+    caption = (
+        "Explanations of the residual error. Beside a named effect, one that could be any"
+        " of many counts as an effect of unknown form. " + _decision()
+    )
+    return [_explanations(gap.answers[:MAX_ANSWERS], caption)]
 
 
 def probabilities_caption(gap: GapSection) -> str:
@@ -607,21 +619,13 @@ def probabilities_caption(gap: GapSection) -> str:
     return " ".join(sentences)
 
 
-def _explanation_columns() -> list[TableColumn]:
-    return [
+def _explanations(explained: Sequence[AnswerRecord], caption: str) -> Table:
+    columns = [
         TableColumn("Explanation", wide=True),
         TableColumn("Probability", number=True),
         TableColumn("Cannot be distinguished from", wide=True),
     ]
-
-
-def _answers(gap: GapSection) -> Table:
-    rows = [explanation_row(answer) for answer in gap.answers[:MAX_ANSWERS]]
-    caption = (
-        "Explanations of the residual error. Beside a named effect, one that could be any"
-        " of many counts as an effect of unknown form. " + _decision()
-    )
-    return Table(_explanation_columns(), rows, caption)
+    return Table(columns, [explanation_row(answer) for answer in explained], caption)
 
 
 def _decision() -> str:
@@ -632,16 +636,6 @@ def _decision() -> str:
         f" to show, have a probability of {sure} or more. An effect less likely than noise"
         " alone is a reason to read again; nothing is corrected for it."
     )
-
-
-def _credible_set(gap: GapSection) -> Table:
-    rows = [explanation_row(answer) for answer in gap.set95]
-    caption = (
-        "Credible set: with 95 % probability one of these sets of effects acts, with or"
-        " without a remainder of unknown form. The remainder is named where it is more"
-        " likely than not. An effect stands for all that cannot be distinguished from it."
-    )
-    return Table(_explanation_columns(), rows, caption)
 
 
 def explanation_row(answer: AnswerRecord) -> list[str]:

@@ -30,7 +30,7 @@ from pkm_reports.blocks import (
     TableColumn,
     headed_list,
 )
-from pkm_reports.sections.gap_figures import MIN_VISIBLE_RMS, spoken
+from pkm_reports.sections.gap_figures import MIN_VISIBLE_RMS, sizes_by_channel, spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -278,16 +278,8 @@ def _sizes_by_channel(
     sizes: Mapping[str, float | None], channel_units: Mapping[str, str]
 ) -> str:
     """Rms by channel; one channel alone needs no name."""
-    visible = {
-        n: rms for n, rms in sizes.items() if rms is None or rms > MIN_VISIBLE_RMS
-    }
-    entries = {
-        name: text.channel_value(name, rms, channel_units)
-        for name, rms in visible.items()
-    }
-    if len(entries) < 2:
-        return text.listing(entries.values())
-    return text.listing(f"{name} {entry}" for name, entry in entries.items())
+    seen = [rms for rms in sizes.values() if rms is None or rms > MIN_VISIBLE_RMS]
+    return sizes_by_channel(sizes, channel_units, named=len(seen) > 1)
 
 
 #: an effect, its rival, and a combination of coefficients that the rival imitates

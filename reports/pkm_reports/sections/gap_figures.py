@@ -199,7 +199,7 @@ def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> No
     axes.barh(rows, percent, color=colours, height=0.7)
     for y, name in zip(rows, names, strict=True):
         share = gap.marginal[name]
-        axes.text(100.0 * share + 1.5, y, _chance(share), va="center", fontsize=7)
+        axes.text(100.0 * share + 1.5, y, chance_text(share), va="center", fontsize=7)
     style.fixed_ticks(axes, "y", rows.tolist(), [spoken(name) for name in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, 115.0)
@@ -216,10 +216,10 @@ def _colour(name: str, selected: Sequence[str], rivals: set[str]) -> str:
     return style.SKY if name in rivals else style.LIGHT
 
 
-def _chance(share: float) -> str:
+def chance_text(share: float) -> str:
     """A probability in percent, never rounded up to certainty."""
     if share > NEARLY_CERTAIN:
-        return f"> 99{text.NO_BREAK}%"
+        return f"> {text.percent(NEARLY_CERTAIN)}"
     return text.percent(share)
 
 
@@ -252,11 +252,17 @@ MIN_VISIBLE_RMS: Final = 1e-9
 
 
 def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
-    """Rms by channel; one channel alone needs no name."""
-    named = len(gap.units) != 1
+    """Rms by channel; the channel of readings that have one alone needs no name."""
+    return sizes_by_channel(sizes, gap.units, named=len(gap.units) != 1)
+
+
+def sizes_by_channel(
+    sizes: Mapping[str, float | None], units: Mapping[str, str], *, named: bool
+) -> str:
+    """Rms by channel that is to be seen, with the channel's name or without."""
     entries = []
     for channel, rms in sizes.items():
-        if rms > MIN_VISIBLE_RMS:
-            entry = text.channel_value(channel, rms, gap.units)
+        if rms is None or rms > MIN_VISIBLE_RMS:
+            entry = text.channel_value(channel, rms, units)
             entries.append(f"{channel} {entry}" if named else entry)
     return text.listing(entries)

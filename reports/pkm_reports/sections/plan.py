@@ -443,8 +443,8 @@ def _choice(design: DesignSection) -> str:
 def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
     if not poses:
         return []
-    commands = list(dict.fromkeys(key for pose in poses for key in pose.command))
-    channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
+    commands = text.aligned_columns([pose.command for pose in poses])
+    channels = text.aligned_columns([pose.reading for pose in poses])
     columns = [
         TableColumn("No.", number=True),
         *TableColumn.texts("Set-up", "Run"),
@@ -457,15 +457,9 @@ def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
         [pose.setup for pose in poses],
         [pose.run for pose in poses],
         [str(pose.order) for pose in poses],
+        *commands.values(),
+        *channels.values(),
     ]
-    for name in commands:
-        cells.append(
-            text.aligned(missing.column([pose.command for pose in poses], name))
-        )
-    for name in channels:
-        cells.append(
-            text.aligned(missing.column([pose.reading for pose in poses], name))
-        )
     return [Table(columns, transposed(cells), _readings_caption(poses), linked=True)]
 
 

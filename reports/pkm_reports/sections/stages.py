@@ -374,17 +374,11 @@ def _effects(plan: PlanSection) -> list[Block]:
     allowed = plan.effects
     if allowed is None:
         return []
-    columns = [
-        TableColumn("Error after compensation, rms", wide=True),
-        *TableColumn.numbers(
-            "promised without effects", "that plan with effects", "this plan"
-        ),
-    ]
-    rows = []
-    for key, promised in allowed.promised.items():
-        stem, unit = text.split_unit(key)
-        values = (promised, allowed.without.accuracy[key], plan.accuracy[key])
-        rows.append([stem, *(text.quantity(v, unit) for v in values)])
+    errors = {
+        "promised without effects": allowed.promised,
+        "that plan with effects": allowed.without.accuracy,
+        "this plan": plan.accuracy,
+    }
     caption = (
         "Predicted errors over the workspace: what the plan for a machine without effects"
         " promises, what its readings leave on a machine with them, and what this plan"
@@ -395,8 +389,24 @@ def _effects(plan: PlanSection) -> list[Block]:
         " geometry, at the sizes expected of them. The plan for a machine without effects"
         f" would be {', then '.join(allowed.without.names)}."
     )
-    table = Table(columns, rows, caption)
+    table = remaining_errors(errors, allowed.promised, caption)
     return [Paragraph(sentence), table, *recording_blocks(allowed.recording)]
+
+
+def remaining_errors(
+    errors: Mapping[str, Mapping[str, float]], keys: Iterable[str], caption: str
+) -> Table:
+    """Rms errors by title and component with unit (`z_um`), a row a component."""
+    columns = [
+        TableColumn("Error after compensation, rms", wide=True),
+        *TableColumn.numbers(*errors),
+    ]
+    rows = []
+    for key in keys:
+        stem, unit = text.split_unit(key)
+        cells = [text.quantity(accuracy[key], unit) for accuracy in errors.values()]
+        rows.append([stem, *cells])
+    return Table(columns, rows, caption)
 
 
 # -- what virtual machines achieved ----------------------------------------------------
