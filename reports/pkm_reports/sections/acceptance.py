@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,10 +27,6 @@ from pkm_reports.blocks import (
     headed_list,
 )
 from pkm_reports.sections import identification
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -194,7 +190,7 @@ CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)
 
 
 # Residuals of held-out readings, with their predictive intervals.
-def draw_residuals(sets: Sequence[HeldOutSection]) -> Figure:
+def draw_residuals(sets: Sequence[HeldOutSection]) -> style.Figure:
     """Measured minus predicted, each with its 95 % interval as a bar around zero."""
     shown = [entry for entry in sets if entry.residuals]
     if not shown:
@@ -207,7 +203,7 @@ def draw_residuals(sets: Sequence[HeldOutSection]) -> Figure:
     return figure
 
 
-def _residual_panel(axes: Axes, entry: HeldOutSection) -> None:
+def _residual_panel(axes: style.Axes, entry: HeldOutSection) -> None:
     residuals = missing.array(entry.residuals)
     half = np.resize(missing.array(entry.half_widths or [None]), len(residuals))
     number = np.arange(1, len(residuals) + 1)

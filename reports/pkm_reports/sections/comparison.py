@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,10 +29,6 @@ from pkm_reports.blocks import (
 from pkm_reports.sections.answer import is_plan, used_setups, wanted_accuracy
 from pkm_reports.sections.gap import explanation_row
 from pkm_reports.sections.machine_figures import draw_overview
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # What differs between results, in sentences and in one table.
 
@@ -207,7 +203,7 @@ BAR_WIDTH_SHARE = 0.8
 Sizes = Mapping[str, tuple[float, str]]
 
 
-def draw_side_by_side(sizes: Mapping[str, Sizes], names: Sequence[str]) -> Figure:
+def draw_side_by_side(sizes: Mapping[str, Sizes], names: Sequence[str]) -> style.Figure:
     """A group of bars for each component; lengths and angles have panels of their own."""
     units = list(dict.fromkeys(u for of in sizes.values() for _, u in of.values()))
     if not units:
@@ -226,7 +222,9 @@ def draw_side_by_side(sizes: Mapping[str, Sizes], names: Sequence[str]) -> Figur
     return figure
 
 
-def _side_panel(axes: Axes, group: Mapping[str, Sizes], names: Sequence[str]) -> None:
+def _side_panel(
+    axes: style.Axes, group: Mapping[str, Sizes], names: Sequence[str]
+) -> None:
     places = np.arange(len(group))
     width = BAR_WIDTH_SHARE / len(names)
     for k, name in enumerate(names):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,17 +31,13 @@ from pkm_reports.blocks import (
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import stages
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 # The robust and the nominal plan over the scenarios, as cumulative distributions.
 
 #: factor between the limits from which the axis is logarithmic
 LOG_AXIS_MIN_RANGE = 8.0
 
 
-def draw_robust(robust: RobustSummary) -> Figure:
+def draw_robust(robust: RobustSummary) -> style.Figure:
     """Share of the scenarios in which a plan is worth no more than so much."""
     values = missing.array(robust.values)
     nominal = missing.array(robust.nominal_values)
@@ -68,7 +64,7 @@ def draw_robust(robust: RobustSummary) -> Figure:
 
 
 def _distribution(
-    axes: Axes, values: Array, by_risk: float, best: float, label: str, k: int
+    axes: style.Axes, values: Array, by_risk: float, best: float, label: str, k: int
 ) -> None:
     """The scenarios of a plan, worst first; a dashed line at its worth by the risk."""
     values = np.sort(values[np.isfinite(values)])
@@ -91,7 +87,7 @@ MAX_COLUMNS: Final = 3
 MAX_TICKS: Final = 5
 
 
-def draw_how_many(summary: HowManySummary) -> Figure:
+def draw_how_many(summary: HowManySummary) -> style.Figure:
     """A panel for each component: plans found, the bound below, the wanted accuracy."""
     sizes = missing.array(summary.sizes)
     names = [
@@ -116,7 +112,7 @@ def draw_how_many(summary: HowManySummary) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
+def _panel(axes: style.Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
     reached = missing.array(summary.accuracy[name])
     bound = np.full(len(sizes), np.nan)
     if name in summary.bound and len(summary.bound[name]) == len(sizes):
@@ -522,7 +518,7 @@ WHITE_LETTER_MIN_SHADE: Final = 0.55
 MIN_LOG: Final = 1e-4
 
 
-def draw_efficiencies(design: DesignSection) -> Figure:
+def draw_efficiencies(design: DesignSection) -> style.Figure:
     """A row for each criterion, a column for the design made for it."""
     table = efficiencies(design.compared, design.directions)
     if not np.isfinite(table).any():
@@ -599,7 +595,7 @@ def _directions_from(difference: float, ratio: float) -> float:
     return difference / math.log(ratio)
 
 
-def _write_percentages(axes: Axes, table: Array, low: float) -> None:
+def _write_percentages(axes: style.Axes, table: Array, low: float) -> None:
     for (i, j), share in np.ndenumerate(table):
         dark = (share - low) / (1.0 - low) > WHITE_LETTER_MIN_SHADE
         ink = style.INK if np.isfinite(share) else style.GREY
@@ -730,7 +726,7 @@ def _value_row(entry: CriterionComparison, names: Sequence[str]) -> list[str]:
 MAX_COMPONENTS: Final = 8
 
 
-def draw_predicted(plans: Sequence[PlanScore]) -> Figure:
+def draw_predicted(plans: Sequence[PlanScore]) -> style.Figure:
     """A line for each component, a mark for each plan; lengths and angles apart."""
     shown = [plan for plan in plans if plan.predicted][:MAX_COMPONENTS]
     if not shown:
@@ -762,7 +758,10 @@ def shown_components(plans: Sequence[PlanScore]) -> list[str]:
 
 
 def _error_panel(
-    axes: Axes, keys: Sequence[str], plans: Sequence[PlanScore], labels: Sequence[str]
+    axes: style.Axes,
+    keys: Sequence[str],
+    plans: Sequence[PlanScore],
+    labels: Sequence[str],
 ) -> None:
     tables = [plan.predicted for plan in plans]
     rms = np.column_stack([missing.column(tables, key) for key in keys])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -32,10 +32,6 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.sections.gap_figures import MIN_VISIBLE_RMS, sizes_by_channel, spoken
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 # Which effects can be distinguished from which others: a matrix of sqrt(lambda).
 
 LIMIT = 5.0  #: sqrt(lambda) below which two effects are not distinguished
@@ -52,7 +48,7 @@ SMALL_CELL = 0.34  #: inches of a cell from which its number has normal size
 MIN_WHOLE_NUMBER: Final = 9.95  #: size from which a number has no decimal
 
 
-def draw_confusable(table: DetectabilityTable) -> Figure:
+def draw_confusable(table: DetectabilityTable) -> style.Figure:
     """Effects by those that could explain them; on the diagonal, how well each is seen."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
@@ -85,7 +81,7 @@ def short_label(value: float) -> str:
     return f"{value:.1f}" if value < MIN_WHOLE_NUMBER else f"{value:.0f}"
 
 
-def _write_numbers(axes: Axes, values: Array, size: float) -> None:
+def _write_numbers(axes: style.Axes, values: Array, size: float) -> None:
     """Numbers in the cells; those of the diagonal bold, in a frame."""
     from matplotlib.patches import Rectangle
 
@@ -99,7 +95,7 @@ def _write_numbers(axes: Axes, values: Array, size: float) -> None:
         axes.add_patch(Rectangle((k - 0.5, k - 0.5), 1.0, 1.0, **frame))
 
 
-def _set_labels(axes: Axes, names: Sequence[str]) -> None:
+def _set_labels(axes: style.Axes, names: Sequence[str]) -> None:
     places = list(range(len(names)))
     style.fixed_ticks(axes, "y", places, names)
     style.fixed_ticks(axes, "x", places, names)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from oed.base import Array
 from oed.result import GapSection, Trace
 from pkm_reports import missing, style, text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Residuals of each run, before and after the effects are in the model.
 
@@ -29,7 +25,7 @@ SINGLE_CHANNELS: Final = ("length", "height")
 AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}
 
 
-def draw_traces(traces: Sequence[Trace]) -> Figure:
+def draw_traces(traces: Sequence[Trace]) -> style.Figure:
     """A panel for each run: residuals before, explained part, residuals after."""
     shown = choose_traces(traces)
     if not shown:
@@ -99,7 +95,7 @@ def _all_values(trace: Trace) -> Array:
     return missing.array([*trace.before, *trace.after, *trace.explained])
 
 
-def _panel(axes: Axes, trace: Trace, limit: float) -> None:
+def _panel(axes: style.Axes, trace: Trace, limit: float) -> None:
     along = missing.array(trace.at)
     explained = missing.array(trace.explained)
     unexplained = missing.array(trace.unexplained)
@@ -132,7 +128,7 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
         style.few_ticks(axes.xaxis, 4)
 
 
-def _set_title(axes: Axes, trace: Trace, *, loads: bool) -> None:
+def _set_title(axes: style.Axes, trace: Trace, *, loads: bool) -> None:
     """Name of the run, and its rms before and after."""
     size = text.number(rms(missing.array(trace.before)), 2)
     if any(trace.explained):
@@ -150,7 +146,7 @@ MAX_EFFECTS: Final = 10
 NEARLY_CERTAIN: Final = 0.99
 
 
-def draw_effects(gap: GapSection) -> Figure:
+def draw_effects(gap: GapSection) -> style.Figure:
     """Probabilities as bars, the likeliest first; beside them the sizes in the readings."""
     names = shown_effects(gap)
     if not names:
@@ -191,7 +187,9 @@ def spoken(name: str) -> str:
     return "unknown form" if name == "unknown" else name.replace("_", " ")
 
 
-def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> None:
+def _draw_probabilities(
+    axes: style.Axes, names: Sequence[str], gap: GapSection
+) -> None:
     rivals = _indistinguishable(gap)
     percent = np.array([100.0 * gap.marginal[name] for name in names])
     rows = np.arange(float(len(names)))
@@ -223,7 +221,7 @@ def chance_text(share: float) -> str:
     return text.percent(share)
 
 
-def _draw_sizes(axes: Axes, rms: Array, unit: str) -> None:
+def _draw_sizes(axes: style.Axes, rms: Array, unit: str) -> None:
     """Rms of each effect in the readings, over its channels."""
     rows = np.arange(float(len(rms)))
     axes.barh(rows, np.nan_to_num(rms), color=style.ORANGE, height=0.7)

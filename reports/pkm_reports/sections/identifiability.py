@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,13 +27,9 @@ from pkm_reports.blocks import (
     transposed,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 # Singular values of the scaled identification matrix, and the tolerance of the rank.
-def draw_singular_values(section: IdentifiabilitySection) -> Figure:
+def draw_singular_values(section: IdentifiabilitySection) -> style.Figure:
     """Filled marks for determined directions, hollow ones for lost directions."""
     values = missing.array(section.singular_values)
     largest = float(np.nanmax(values, initial=0.0))
@@ -262,7 +258,7 @@ CHAPTER: Final = Chapter("identifiability", "What the readings can determine", b
 MAX_KAPPA_RATIO: Final = 30.0
 
 
-def draw_kappa(maps: Sequence[KappaMap]) -> Figure:
+def draw_kappa(maps: Sequence[KappaMap]) -> style.Figure:
     """A panel a parametrisation, a line over n a number of circles, rings at the least."""
     shown = [entry for entry in maps if np.isfinite(missing.table(entry.kappa)).any()]
     if not shown:
@@ -277,7 +273,7 @@ def draw_kappa(maps: Sequence[KappaMap]) -> Figure:
     return figure
 
 
-def _kappa_panel(axes: Axes, entry: KappaMap) -> None:
+def _kappa_panel(axes: style.Axes, entry: KappaMap) -> None:
     n = missing.array(entry.points)
     table = missing.table(entry.kappa)
     for k, (m, kappa) in enumerate(zip(entry.circles, table, strict=True)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -32,10 +32,6 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections.answer import fits_with_effects, is_plan
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 
@@ -173,7 +169,7 @@ def _left_out_row(record: NoiseRecord) -> list[str]:
 MANY_READINGS: Final = 60  #: readings from which marks are small
 
 
-def draw_residuals(estimate: EstimateSection) -> Figure:
+def draw_residuals(estimate: EstimateSection) -> style.Figure:
     """Before and after side by side, a row for each unit, each panel with its scale."""
     before, after = estimate.residuals_before, estimate.residuals
     panels = [
@@ -195,7 +191,7 @@ def draw_residuals(estimate: EstimateSection) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, title: str, values: Array, colour: str) -> None:
+def _panel(axes: style.Axes, title: str, values: Array, colour: str) -> None:
     number = np.arange(1, len(values) + 1)
     axes.vlines(number, 0.0, values, color=colour, lw=0.7, alpha=0.6)
     axes.plot(
@@ -225,7 +221,7 @@ TYPE_MEANINGS: Final = {
 HALF_WIDTH_95: Final = 1.96  #: half-width of a 95 % interval, in standard deviations
 
 
-def draw_parameters(parameters: Mapping[str, ParameterEstimate]) -> Figure:
+def draw_parameters(parameters: Mapping[str, ParameterEstimate]) -> style.Figure:
     """Intervals (95 %) in tolerances on the left, sd over tolerance on the right."""
     rows = {name: p for name, p in parameters.items() if p.prior_sd > 0.0}
     if not rows:
@@ -245,7 +241,7 @@ def shrinkage(estimate: ParameterEstimate) -> float:
 
 
 def _interval(
-    deviations: Axes, ratios: Axes, k: int, estimate: ParameterEstimate
+    deviations: style.Axes, ratios: style.Axes, k: int, estimate: ParameterEstimate
 ) -> None:
     deviation = (estimate.value - estimate.nominal) / estimate.prior_sd
     truth = (or_nan(estimate.truth) - estimate.nominal) / estimate.prior_sd
@@ -264,7 +260,10 @@ def _interval(
 
 
 def _set_axes(
-    deviations: Axes, ratios: Axes, names: Sequence[str], shrinkages: Sequence[float]
+    deviations: style.Axes,
+    ratios: style.Axes,
+    names: Sequence[str],
+    shrinkages: Sequence[float],
 ) -> None:
     deviations.axvspan(
         -1.0, 1.0, color=style.SHADE, lw=0, zorder=0, label="± 1 tolerance"
@@ -482,7 +481,7 @@ AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [
 INTERVAL: Final = "95 % interval"
 
 
-def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> Figure:
+def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> style.Figure:
     """A row a run: from nominal, from the prediction, `after` compensation."""
     sizes = [_largest(missing.array(curve.measured)) for curve in curves]
     ranked = sorted(range(len(curves)), key=lambda k: -sizes[k])
@@ -510,7 +509,7 @@ def _largest(values: Array) -> float:
     return float(np.nanmax(np.abs(values), initial=0.0))
 
 
-def _curve_row(row: Sequence[Axes], curve: RunCurve) -> None:
+def _curve_row(row: Sequence[style.Axes], curve: RunCurve) -> None:
     along = missing.array(curve.at)
     measured, predicted = missing.array(curve.measured), missing.array(curve.predicted)
     half = missing.array(curve.half_widths)
@@ -535,7 +534,7 @@ def _curve_row(row: Sequence[Axes], curve: RunCurve) -> None:
     row[0].set_ylabel(f"{name}\n{curve.channel} [{text.unit_symbol(curve.unit)}]")
 
 
-def _draw_measured(axes: Axes, along: Array, values: Array) -> None:
+def _draw_measured(axes: style.Axes, along: Array, values: Array) -> None:
     look: Any = {"ls": "", "marker": "o", "color": style.BLUE}
     axes.plot(
         along,
@@ -546,12 +545,12 @@ def _draw_measured(axes: Axes, along: Array, values: Array) -> None:
     )
 
 
-def _draw_predicted(axes: Axes, along: Array, values: Array, half: Array) -> None:
+def _draw_predicted(axes: style.Axes, along: Array, values: Array, half: Array) -> None:
     _draw_band(axes, along, values, half)
     axes.plot(along, values, color=style.ORANGE, lw=1.1, label="predicted")
 
 
-def _draw_band(axes: Axes, along: Array, values: Array, half: Array) -> None:
+def _draw_band(axes: style.Axes, along: Array, values: Array, half: Array) -> None:
     look: Any = {"color": style.LIGHT, "lw": 0.0, "label": INTERVAL}
     axes.fill_between(along, values - half, values + half, **look)
 

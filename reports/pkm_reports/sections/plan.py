@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -36,10 +36,6 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.sections.machine_figures import draw_machine
 from pkm_reports.view import points_mm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 # Times, budgets and goals of a plan in words.
@@ -109,7 +105,7 @@ class Plane:
     limits: Array  #: lower and upper limit (2, 2)
 
 
-def draw_path(poses: Sequence[PlannedReading]) -> Figure:
+def draw_path(poses: Sequence[PlannedReading]) -> style.Figure:
     """Readings by their numbers in working order, joined by lines."""
     plane = choose_plane(poses)
     if plane is None:
@@ -209,7 +205,7 @@ def _turn_back(plane: Plane, start: Array, end: Array) -> Array:
     return np.where(far, np.copysign(FULL_TURN, end - start), 0.0)
 
 
-def _panel(axes: Axes, plane: Plane, group: Index, colour: str) -> None:
+def _panel(axes: style.Axes, plane: Plane, group: Index, colour: str) -> None:
     look: Any = {"color": colour, "lw": 0.7, "zorder": 1}
     look["alpha"] = 0.55 if len(group) < MANY_POSES else 0.2
     for start, end in itertools.pairwise(plane.at[group]):
@@ -242,7 +238,7 @@ def _numbers_by_place(
 
 
 def write_numbers(
-    axes: Axes, numbers: Mapping[tuple[float, float], Sequence[int]], colour: str
+    axes: style.Axes, numbers: Mapping[tuple[float, float], Sequence[int]], colour: str
 ) -> None:
     """Mark each place and write its numbers; where there is no room, only the mark."""
     points = POINTS_PER_INCH / axes.figure.dpi
@@ -289,7 +285,7 @@ def _covered(centre: Array, half: Array, taken: Sequence[tuple[Array, Array]]) -
 
 
 def _annotate(
-    axes: Axes, phrase: str, point: tuple[float, float], shift: Array, colour: str
+    axes: style.Axes, phrase: str, point: tuple[float, float], shift: Array, colour: str
 ) -> None:
     frame: Any = {"boxstyle": "round,pad=0.18", "fc": "white", "ec": colour, "lw": 0.7}
     look: Any = {"fontsize": LETTER_SIZE, "annotation_clip": False, "zorder": 3}

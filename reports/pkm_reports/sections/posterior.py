@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,10 +23,6 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.missing import or_nan
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 # Posterior of the worst-determined directions: each alone, and all pairs.
 
 Limits = tuple[float, float]
@@ -41,7 +37,7 @@ CLOSE_VIEW_MAX_RATIO: Final = 0.3
 PRIOR_RANGE: Final = 3.2  #: prior standard deviations that hold the prior
 
 
-def draw_corner(posterior: PosteriorSection) -> Figure:
+def draw_corner(posterior: PosteriorSection) -> style.Figure:
     """Draws of each pair below the diagonal, histograms and the prior N(0, 1) on it."""
     names, draws = corner_parameters(posterior)
     if not len(draws) or not names:
@@ -96,7 +92,9 @@ def _limits(x: Array) -> Limits:
     return min(-PRIOR_RANGE, lower), max(PRIOR_RANGE, upper)
 
 
-def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) -> None:
+def _cell(
+    axes: style.Axes, draws: Array, limits: Sequence[Limits], i: int, j: int
+) -> None:
     axes.grid(False)
     if i == j:
         _histogram(axes, draws[:, i], limits[i])
@@ -108,7 +106,7 @@ def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) ->
     axes.tick_params(labelsize=6.5, **outer)
 
 
-def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
+def _histogram(axes: style.Axes, x: Array, limits: Limits) -> None:
     look: Any = {"color": style.SKY, "histtype": "stepfilled", "lw": 0}
     axes.hist(x, bins=36, range=limits, density=True, **look)
     grid = np.linspace(*limits, 120)
@@ -119,7 +117,7 @@ def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _pair(axes: Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
+def _pair(axes: style.Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
     counts, _, _ = np.histogram2d(x, y, bins=34, range=(xlim, ylim))
     density = np.ma.masked_equal(counts.T, 0.0)
     shade: Any = {"cmap": style.AMOUNT, "vmin": -0.1 * counts.max()}

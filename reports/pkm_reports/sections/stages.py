@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,10 +44,6 @@ from pkm_reports.sections.plan import (
     is_missed,
     minutes,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
@@ -641,7 +637,7 @@ MAX_TICKS: Final = 12
 MARK_SHIFT: Final = 0.09
 
 
-def draw_accuracies(plan: PlanSection) -> Figure:
+def draw_accuracies(plan: PlanSection) -> style.Figure:
     """A line for each component; lengths and angles have panels of their own."""
     keys = components(plan)
     if not keys:
@@ -691,7 +687,7 @@ def stem(key: str) -> str:
 
 
 def _component(
-    axes: Axes, key: str, plan: PlanSection, colour: str, marker: str
+    axes: style.Axes, key: str, plan: PlanSection, colour: str, marker: str
 ) -> None:
     positions = np.arange(len(plan.stages) + 1)
     tables = [plan.start_accuracy, *[stage.accuracy for stage in plan.stages]]
@@ -713,7 +709,7 @@ def _positive(values: Array) -> Array:
     return np.where(values > 0.0, values, np.nan)
 
 
-def _set_ticks(axes: Axes, count: int) -> None:
+def _set_ticks(axes: style.Axes, count: int) -> None:
     """`before`, then the stages by number; of many stages, every other or so."""
     step = 1 + (count - 1) // MAX_TICKS
     places = [0, *range(step, count + 1, step)]
@@ -727,7 +723,7 @@ def _set_ticks(axes: Axes, count: int) -> None:
 LATE, ROOM_BEFORE = 0.62, 0.38
 
 
-def draw_timeline(plan: PlanSection) -> Figure:
+def draw_timeline(plan: PlanSection) -> style.Figure:
     """A bar for each stage, the first on top."""
     stages = [stage for stage in plan.stages if stage.begin_min is not None]
     if not stages:
@@ -755,7 +751,7 @@ def draw_timeline(plan: PlanSection) -> Figure:
     return figure
 
 
-def _bar(axes: Axes, k: int, stage: StageRecord, right: float) -> None:
+def _bar(axes: style.Axes, k: int, stage: StageRecord, right: float) -> None:
     """One stage, with its readings and minutes written where there is room."""
     begin = or_nan(stage.begin_min)
     end = begin + stage.cost if stage.end_min is None else stage.end_min
@@ -781,7 +777,7 @@ NO_GOAL_LABEL: Final = (
 )
 
 
-def draw_front(plan: PlanSection) -> Figure:
+def draw_front(plan: PlanSection) -> style.Figure:
     """Minutes against the value that plans are judged by, the smaller the better."""
     front = points(plan.front)
     chosen = _points([(plan.cost, or_nan(plan.value))])
@@ -827,7 +823,7 @@ def _points(pairs: Sequence[tuple[float, float]]) -> Array:
     return np.asarray(table[finite & positive])
 
 
-def _set_limits(axes: Axes, plans: Array, plan: PlanSection) -> None:
+def _set_limits(axes: style.Axes, plans: Array, plan: PlanSection) -> None:
     minutes = np.append(plans[:, 0], missing.finite([plan.budget_min]))
     bounds = missing.finite([plan.bound, *[s.bound for s in plan.compared]])
     bounds += [1.0] if plan.goal else []
@@ -843,7 +839,7 @@ def _set_limits(axes: Axes, plans: Array, plan: PlanSection) -> None:
         axes.set_xlim(0.0, 1.06 * max(minutes.max(), 1e-9))
 
 
-def _draw_limits(axes: Axes, plan: PlanSection) -> None:
+def _draw_limits(axes: style.Axes, plan: PlanSection) -> None:
     """Shade what no plan reaches, and mark the budget and the goal."""
     start, end = axes.get_xlim()
     budget, bound = or_nan(plan.budget_min), or_nan(plan.bound)
@@ -861,7 +857,7 @@ def _draw_limits(axes: Axes, plan: PlanSection) -> None:
         axes.axhline(1.0, color=style.GREEN, ls=":", lw=1.3, label=label)
 
 
-def _draw_sequences(axes: Axes, plan: PlanSection) -> None:
+def _draw_sequences(axes: style.Axes, plan: PlanSection) -> None:
     """Sequences that the study asked for, each with the bound of its time below it."""
     placed = [s for s in plan.compared if len(points([s.sequence]))]
     compared = placed[:MAX_PARETO_PLANS]
