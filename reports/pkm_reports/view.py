@@ -1,9 +1,6 @@
 """What the page's views show: machine, readings, error map and gap as points.
 
 PageView               of a result: its lines, readings, fields and circles
-ViewLine               a polyline, mm
-ViewLabel              names of parameters at a point, mm
-ViewReading            a reading with its place, values and run
 within_script          JSON as it may stand within a page's script
 residuals_of_readings  the residuals of a result by reading
 points_mm              points that are given in m, in mm
@@ -13,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -24,6 +21,9 @@ from oed.result import Drawing, GapSection, PredictionSection, StudyResult, Trac
 from pkm_reports import text
 from pkm_reports.missing import or_nan
 
+Point = list[float]
+Values = dict[str, Any]  #: by the names that the page's script reads
+
 # Circles of readings, with their residuals about the circle.
 
 MAX_CIRCLES: Final = 12  #: circles that the page shows
@@ -32,49 +32,27 @@ MIN_CIRCLE_READINGS: Final = 8  #: readings of a circle, at least
 CIRCLE_TOLERANCE: Final = 0.02
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class CirclePass:
-    """One way round: angles in degrees, residuals before and after."""
-
-    name: str
-    at: list[float]
-    before: list[float]
-    after: list[float]
-    #: numbers of the readings, from 0; empty where they are not known
-    readings: list[int]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Circle:
-    """A circle with all its passes; `unit` is that of the residuals."""
-
-    name: str
-    unit: str
-    passes: list[CirclePass]
-
-
-def circles(gap: GapSection | None, readings: Sequence[ViewReading]) -> list[Circle]:
+def circles(gap: GapSection | None, readings: Sequence[Values]) -> list[Values]:
     """Circles of a diagnosis, or of the fitted readings where there is none."""
     if gap is not None and any(trace.kind == "circle" for trace in gap.traces):
         return _trace_circles(gap.traces)
     return _reading_circles(readings)
 
 
-def _trace_circles(traces: Sequence[Trace]) -> list[Circle]:
+def _trace_circles(traces: Sequence[Trace]) -> list[Values]:
     passes: dict[tuple[str, str, str, str], list[Trace]] = {}
     for trace in traces:
         if trace.kind == "circle":
             key = (trace.setup, trace.base, trace.channel, _load(trace))
             passes.setdefault(key, []).append(trace)
     return [
-        Circle(
-            name=text.cleaned(f"{setup}, {base}, {channel}{load}"),
-            unit=text.unit_symbol(runs[0].unit),
-            passes=[
-                CirclePass(text.cleaned(t.run), t.at, t.before, t.after, [])
-                for t in runs
+        {
+            "name": text.cleaned(f"{setup}, {base}, {channel}{load}"),
+            "unit": text.unit_symbol(runs[0].unit),
+            "passes": [
+                _pass(text.cleaned(t.run), t.at, t.before, t.after, []) for t in runs
             ],
-        )
+        }
         for (setup, base, channel, load), runs in list(passes.items())[:MAX_CIRCLES]
     ]
 
@@ -83,27 +61,40 @@ def _load(trace: Trace) -> str:
     return "" if trace.payload is None else f", {text.trimmed(trace.payload, 3)} N"
 
 
-def _reading_circles(readings: Sequence[ViewReading]) -> list[Circle]:
+def _reading_circles(readings: Sequence[Values]) -> list[Values]:
     runs: dict[tuple[str, str], list[int]] = {}
     for k, reading in enumerate(readings):
-        if len(reading.residuals) == 1:
-            runs.setdefault((reading.setup, reading.run), []).append(k)
+        if len(reading["residuals"]) == 1:
+            runs.setdefault((reading["setup"], reading["run"]), []).append(k)
     drawn = []
     for (setup, run), members in runs.items():
-        angles = angles_on_circle(np.array([readings[k].at for k in members]))
+        angles = angles_on_circle(np.array([readings[k]["at"] for k in members]))
         if angles is None:
             continue
         order = [int(k) for k in np.argsort(angles, kind="stable")]
-        entries = [readings[members[k]].residuals[0] for k in order]
-        whole = CirclePass(
-            name=run,
-            at=[round(float(angles[k]), 2) for k in order],
-            before=[entry.before for entry in entries],
-            after=[entry.after for entry in entries],
-            readings=[members[k] for k in order],
+        entries = [readings[members[k]]["residuals"][0] for k in order]
+        whole = _pass(
+            run,
+            [round(float(angles[k]), 2) for k in order],
+            [entry["before"] for entry in entries],
+            [entry["after"] for entry in entries],
+            [members[k] for k in order],
         )
-        drawn.append(Circle(f"{setup}, {run}", entries[0].unit, [whole]))
+        unit = entries[0]["unit"]
+        drawn.append({"name": f"{setup}, {run}", "unit": unit, "passes": [whole]})
     return drawn[:MAX_CIRCLES]
+
+
+def _pass(
+    name: str,
+    at: list[float],
+    before: list[float],
+    after: list[float],
+    readings: list[int],
+) -> Values:
+    """One way round a circle."""
+    sizes = {"before": before, "after": after}
+    return {"name": name, "at": at, **sizes, "readings": readings}
 
 
 def angles_on_circle(points: Array) -> Array | None:
@@ -129,58 +120,25 @@ PLACE_DECIMALS: Final = 2  #: decimals of places, mm
 ERROR_DIGITS: Final = 4  #: significant digits of errors
 MAX_READINGS: Final = 5000  #: readings beyond which the page has no views
 
-Point = list[float]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ViewLine:
-    """A polyline, mm."""
-
-    kind: str
-    points: list[Point]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ViewLabel:
-    """Names of parameters at the point that they move, mm."""
-
-    at: Point
-    text: str
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ViewReading:
-    """A reading: where the tool is and the far end of what is measured, mm."""
-
-    setup: str
-    run: str
-    words: str  #: the command, and where it is known the run
-    at: Point
-    far: Point | None
-    residuals: list[ReadingResiduals]  #: by channel, where the readings are fitted
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ViewField:
-    """A size at each of the points `at`, mm, before and after; `words` says where."""
-
-    name: str
-    unit: str
-    at: list[Point]
-    words: list[str]
-    before: list[float | None]
-    after: list[float | None]
-
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class PageView:
-    """All that the views of one page show."""
+    """All that the views of one page show; places are in mm.
 
-    lines: list[ViewLine]
-    labels: list[ViewLabel]
-    readings: list[ViewReading]
-    fields: list[ViewField]
-    circles: list[Circle]
+    lines     polylines: kind, points
+    labels    names of parameters at the point that they move: at, text
+    readings  set-up, run, command in words, where the tool is and the far end of what is
+              measured, residuals by channel where the readings are fitted
+    fields    sizes before and after at points, with words on where each is
+    circles   each with its passes: angles in degrees, residuals before and after, and
+              the numbers of the readings, from 0, where they are known
+    """
+
+    lines: list[Values]
+    labels: list[Values]
+    readings: list[Values]
+    fields: list[Values]
+    circles: list[Values]
 
     def encoded(self) -> str:
         """JSON for a script element: no character of it ends the element."""
@@ -191,8 +149,8 @@ class PageView:
         cls, lines: Iterable[Array], labels: Iterable[tuple[Sequence[float], str]]
     ) -> PageView:
         """A machine without readings: polylines (n, 3), texts at points (3,), m."""
-        drawn = [ViewLine("machine", points_mm(line).tolist()) for line in lines]
-        named = [ViewLabel(points_mm([at])[0].tolist(), words) for at, words in labels]
+        drawn = [_line("machine", points_mm(line).tolist()) for line in lines]
+        named = [_label(points_mm([at])[0].tolist(), words) for at, words in labels]
         return cls(drawn, named, [], [], [])
 
     @staticmethod
@@ -203,14 +161,22 @@ class PageView:
             return None
         if len(drawing.tool_points) > MAX_READINGS:
             return None
-        lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
-        labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
+        lines = [_line(line.kind, _mm(line.points)) for line in drawing.lines]
+        labels = [_label(_mm([label.at])[0], label.text) for label in drawing.labels]
         readings = _readings(result, drawing)
         shown = circles(result.gap, readings)
         return PageView(lines, labels, readings, _fields(result), shown)
 
 
-def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
+def _line(kind: str, points: list[Point]) -> Values:
+    return {"kind": kind, "points": points}
+
+
+def _label(at: Point, words: str) -> Values:
+    return {"at": at, "text": words}
+
+
+def _readings(result: StudyResult, drawing: Drawing) -> list[Values]:
     count = len(drawing.tool_points)
     runs, commands = _runs_and_commands(result, drawing)
     fitted = residuals_of_readings(result, drawing)
@@ -220,14 +186,14 @@ def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
     far = [_mm(bar[:1])[0] if bar else None for bar in bars]
     setups = [*drawing.reading_of, *["reading"] * count][:count]
     return [
-        ViewReading(
-            setup=text.cleaned(setups[k]),
-            run=text.cleaned(runs[k]),
-            words=text.cleaned(text.named_quantities(commands[k], 4)),
-            at=tips[k],
-            far=far[k],
-            residuals=fitted[k],
-        )
+        {
+            "setup": text.cleaned(setups[k]),
+            "run": text.cleaned(runs[k]),
+            "words": text.cleaned(text.named_quantities(commands[k], 4)),
+            "at": tips[k],
+            "far": far[k],
+            "residuals": fitted[k],
+        }
         for k in range(count)
     ]
 
@@ -245,7 +211,7 @@ def _runs_and_commands(
     return [""] * count, [{}] * count
 
 
-def _fields(result: StudyResult) -> list[ViewField]:
+def _fields(result: StudyResult) -> list[Values]:
     corrected = result.corrected
     prediction = result.prediction
     if corrected is not None and corrected.prediction is not None:
@@ -256,37 +222,37 @@ def _fields(result: StudyResult) -> list[ViewField]:
     return fields
 
 
-def _error_fields(prediction: PredictionSection) -> list[ViewField]:
+def _error_fields(prediction: PredictionSection) -> list[Values]:
     points = [point for point in prediction.map if len(point.at) == 3]
     if not points:
         return []
     positions = _mm([point.at for point in points])
     phrases = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
     return [
-        ViewField(
-            name=f"error of {text.cleaned(name)}",
-            unit=text.unit_symbol(component.after.unit),
-            at=positions,
-            words=phrases,
-            before=[rounded(point.before[name]) for point in points],
-            after=[rounded(point.after[name]) for point in points],
-        )
+        {
+            "name": f"error of {text.cleaned(name)}",
+            "unit": text.unit_symbol(component.after.unit),
+            "at": positions,
+            "words": phrases,
+            "before": [rounded(point.before[name]) for point in points],
+            "after": [rounded(point.after[name]) for point in points],
+        }
         for name, component in prediction.components.items()
     ]
 
 
-def _gap_field(gap: GapSection) -> list[ViewField]:
+def _gap_field(gap: GapSection) -> list[Values]:
     if not gap.spots:
         return []
     return [
-        ViewField(
-            name="residual of the readings",
-            unit=text.unit_symbol(gap.spots_unit),
-            at=[_round(spot.at) for spot in gap.spots],
-            words=["" for _ in gap.spots],
-            before=[rounded(spot.before) for spot in gap.spots],
-            after=[rounded(spot.after) for spot in gap.spots],
-        )
+        {
+            "name": "residual of the readings",
+            "unit": text.unit_symbol(gap.spots_unit),
+            "at": [_round(spot.at) for spot in gap.spots],
+            "words": ["" for _ in gap.spots],
+            "before": [rounded(spot.before) for spot in gap.spots],
+            "after": [rounded(spot.after) for spot in gap.spots],
+        }
     ]
 
 
@@ -304,23 +270,11 @@ def _round(point: Sequence[float] | Array) -> Point:
     return [round(float(v), PLACE_DECIMALS) for v in point]
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class ReadingResiduals:
-    """Residual of one channel of a reading, before and after the fit."""
-
-    channel: str
-    unit: str
-    before: float
-    after: float
-
-
-def residuals_of_readings(
-    result: StudyResult, drawing: Drawing
-) -> list[list[ReadingResiduals]]:
+def residuals_of_readings(result: StudyResult, drawing: Drawing) -> list[list[Values]]:
     """For each tool point its channels' residuals; empty lists where they do not match."""
     estimate = result.estimate
     count = len(drawing.tool_points)
-    nothing: list[list[ReadingResiduals]] = [[] for _ in range(count)]
+    nothing: list[list[Values]] = [[] for _ in range(count)]
     channels_of = {setup.name: len(setup.sigma) for setup in result.setups}
     if estimate is None or not set(drawing.reading_of) <= set(channels_of):
         return nothing
@@ -328,12 +282,12 @@ def residuals_of_readings(
     if len(channels) != count or sum(channels) != len(estimate.residuals):
         return nothing
     entries = [
-        ReadingResiduals(
-            text.cleaned(channel),
-            text.unit_symbol(estimate.units[channel]),
-            round(before, 4),
-            round(after, 4),
-        )
+        {
+            "channel": text.cleaned(channel),
+            "unit": text.unit_symbol(estimate.units[channel]),
+            "before": round(before, 4),
+            "after": round(after, 4),
+        }
         for channel, before, after in zip(
             estimate.channels,
             estimate.residuals_before,

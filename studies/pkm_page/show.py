@@ -1,4 +1,7 @@
-"""The state of a session as the page shows it: texts, tables and the view to turn."""
+"""The state of a session as the page shows it: texts, tables and the view to turn.
+
+Rows of tables are texts by the names that the templates read.
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,7 +21,7 @@ from pkm_page import approach, doubts, rows
 from pkm_page.readings_log import REMARK, FileContent
 from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports import text
-from pkm_reports.view import PageView, ViewReading, residuals_of_readings
+from pkm_reports.view import PageView, Values, residuals_of_readings
 from pkm_studies import describe
 from pkm_studies.sessions import Advice, Adviser, FittedReadings
 from pkm_studies.stages import estimate_section
@@ -31,28 +34,13 @@ MAX_SHOWN: Final = 5
 MAX_TERMS: Final = 4
 
 
-@dataclasses.dataclass(frozen=True)
-class ComponentRow:
-    """One component: rms error over the workspace, unknown part, in `unit`.
+def accuracies(session: MachineSession, state: SessionState) -> list[dict[str, str]]:
+    """A row for each component: rms error over the workspace, unknown part, in `unit`.
 
-    low, high  where the rms error of this machine lies with 95 %
-    wanted     empty where nothing is wanted, as is the verdict on it
-    course     polyline of the rms after each reading, in a box of 100 x 30
+    low, high        where the rms error of this machine lies with 95 %
+    wanted, verdict  empty where nothing is wanted
+    course           polyline of the rms after each reading, in a box of 100 x 30
     """
-
-    name: str
-    unit: str
-    now: str
-    low: str
-    high: str
-    after: str
-    wanted: str
-    verdict: str
-    course: str
-
-
-def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRow]:
-    """A row for each component of the pose error."""
     advice = state.advice
     if advice is None:
         return []
@@ -72,17 +60,17 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
         wanted = float(advice.limits[k])
         is_wanted = bool(np.isfinite(wanted))
         rows.append(
-            ComponentRow(
-                name=name,
-                unit=text.unit_symbol(unit),
-                now=shown(float(advice.known[k])),
-                low=shown(float(low[k])),
-                high=shown(float(high[k])),
-                after=shown(float(advice.after[k])),
-                wanted=shown(wanted) if is_wanted else "",
-                verdict=advice.judgement(k) if is_wanted else "",
-                course=_polyline(course[:, k], wanted),
-            )
+            {
+                "name": name,
+                "unit": text.unit_symbol(unit),
+                "now": shown(float(advice.known[k])),
+                "low": shown(float(low[k])),
+                "high": shown(float(high[k])),
+                "after": shown(float(advice.after[k])),
+                "wanted": shown(wanted) if is_wanted else "",
+                "verdict": advice.judgement(k) if is_wanted else "",
+                "course": _polyline(course[:, k], wanted),
+            }
         )
     return rows
 
@@ -119,41 +107,28 @@ def _polyline(values: Array, wanted: float) -> str:
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
 
 
-@dataclasses.dataclass(frozen=True)
-class ParameterRow:
-    """A parameter as identified, in its display unit; `share` of its tolerance, %."""
-
-    name: str
-    unit: str
-    nominal: str
-    value: str
-    sd: str
-    share: int
-
-
-def parameters(state: SessionState) -> list[ParameterRow]:
-    """A row for each parameter, as the report has them."""
+def parameters(state: SessionState) -> list[dict[str, Any]]:
+    """A row for each parameter in its unit, as the report has them; `share` of its tolerance, %."""
     if state.fitted is None:
         return []
     measured, estimate, _ = state.fitted
     series = measured.readings.series
     section = estimate_section(measured.measurement, series, estimate, None)
     shares = _shares(state.fitted)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, p in section.parameters.items():
         share = shares.get(name)
         if share is None:
             continue
-        value = text.drawn(p.value, p.sd)
         rows.append(
-            ParameterRow(
-                name,
-                text.unit_symbol(p.unit),
-                text.trimmed(p.nominal, 7),
-                value,
-                text.number(p.sd, 2),
-                round(100.0 * share),
-            )
+            {
+                "name": name,
+                "unit": text.unit_symbol(p.unit),
+                "nominal": text.trimmed(p.nominal, 7),
+                "value": text.drawn(p.value, p.sd),
+                "sd": text.number(p.sd, 2),
+                "share": round(100.0 * share),
+            }
         )
     return rows
 
@@ -190,18 +165,8 @@ def open_combinations(state: SessionState) -> tuple[int, int, list[str]]:
     return count, len(names), phrases
 
 
-@dataclasses.dataclass(frozen=True)
-class NextOne:
-    """A reading that would help: where, and by how much it lowers the errors, %."""
-
-    setup: str
-    command: str
-    gain: str
-    components: str
-
-
-def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
-    """The readings that gain most by themselves, the best first, the advised one on top."""
+def best_next(session: MachineSession, state: SessionState) -> list[dict[str, str]]:
+    """The readings that lower the errors most, the best first, the advised one on top."""
     advice = state.advice
     if advice is None:
         return []
@@ -217,14 +182,13 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     for k in [advice.candidate, *rest][:MAX_SHOWN]:
         series, row = outlook.pool.reading(outlook.taken + k)
         command = describe.displayed_command(machine, series.reading_commands()[row])
-        falls = _largest_falls(advice.names, ratios[k])
         rows.append(
-            NextOne(
-                series.setup,
-                text.named_quantities(command, 6),
-                text.percent(gains[k]),
-                falls,
-            )
+            {
+                "setup": series.setup,
+                "command": text.named_quantities(command, 6),
+                "gain": text.percent(gains[k]),
+                "components": _largest_falls(advice.names, ratios[k]),
+            }
         )
     return rows
 
@@ -259,27 +223,6 @@ def remaining(advice: Advice) -> int | None:
 MAX_LISTED_READINGS: Final = 4  #: last readings that are listed beside the entry
 
 
-@dataclasses.dataclass(frozen=True)
-class EntryField:
-    """A number to enter: column, unit, what it should be and where it should lie."""
-
-    name: str
-    unit: str
-    expected: str
-    low: str
-    high: str
-
-
-@dataclasses.dataclass(frozen=True)
-class LastReading:
-    """A reading of the file, in words; `undone` where it was taken back."""
-
-    number: int
-    words: str
-    values: str
-    remark: str
-
-
 def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
     """Everything that the page's template names."""
     advice, pose = state.advice, state.pose
@@ -300,7 +243,7 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
         return values
     is_wanted = bool(np.isfinite(advice.limits).any())
     return values | {
-        "number": 1 + (values["last"][0].number if values["last"] else 0),
+        "number": 1 + (values["last"][0]["number"] if values["last"] else 0),
         "stop": advice.stop_sentences(),
         "finished": remaining(advice) == 0 and not advice.objections,
         "time_left": _time_left(state),
@@ -342,7 +285,8 @@ def _numbers(columns: dict[str, float]) -> list[tuple[str, str, str]]:
 
 def _fields(
     session: MachineSession, state: SessionState, pose: Pose
-) -> list[EntryField]:
+) -> list[dict[str, str]]:
+    """Numbers to enter: name, unit, what each should be, and its ends or empty texts."""
     measurement, series, row = session.measurement, pose.series, pose.row
     columns = rows.entry_columns(measurement, series.setup)
     names = [text.split_unit(ReadingsColumn.of(c.name, c.unit).name) for c in columns]
@@ -350,7 +294,7 @@ def _fields(
         q = series.q[series.index[row, 0]]
         shown = [written(float(v), c.unit)[0] for v, c in zip(q, columns, strict=True)]
         return [
-            EntryField(stem, unit, f"{value:.7g}", "", "")
+            _field(stem, unit, f"{value:.7g}", "", "")
             for (stem, unit), value in zip(names, shown, strict=True)
         ]
     expected = doubts.interval(session.adviser, state.fitted, series, row)
@@ -359,8 +303,12 @@ def _fields(
         middle, half = float(expected.middle[k]), float(expected.half[k])
         ends = [written(middle + side * half, c.unit)[0] for side in (-1, 0, 1)]
         low, now, high = text.aligned(ends, most=4)
-        fields.append(EntryField(stem, unit, now, low, high))
+        fields.append(_field(stem, unit, now, low, high))
     return fields
+
+
+def _field(name: str, unit: str, expected: str, low: str, high: str) -> dict[str, str]:
+    return {"name": name, "unit": unit, "expected": expected, "low": low, "high": high}
 
 
 def _steps(session: MachineSession, state: SessionState, pose: Pose) -> list[str]:
@@ -405,9 +353,12 @@ def _mounting(measurement: Measurement, setup: Setup, *, change: bool) -> list[s
     return steps
 
 
-def _last_readings(session: MachineSession, content: FileContent) -> list[LastReading]:
+def _last_readings(
+    session: MachineSession, content: FileContent
+) -> list[dict[str, Any]]:
+    """The last readings of the file, the newest first."""
     measurement = session.measurement
-    listed = []
+    listed: list[dict[str, Any]] = []
     number = 0
     for k in range(1, len(content.rows)):
         values = rows.reading_cells(content, k, measurement)
@@ -427,9 +378,12 @@ def _last_readings(session: MachineSession, content: FileContent) -> list[LastRe
         poses += filter(None, [approach.shown(cells)])
         shown = [f"{cell} {text.split_unit(name)[1]}" for name, cell in values.items()]
         listed.append(
-            LastReading(
-                number, ", ".join(poses), ", ".join(shown), cells.get(REMARK, "")
-            )
+            {
+                "number": number,
+                "words": ", ".join(poses),
+                "read": ", ".join(shown),
+                "remark": cells.get(REMARK, ""),
+            }
         )
     return listed[: -MAX_LISTED_READINGS - 1 : -1]
 
@@ -475,7 +429,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
 
 def _add_residuals(
     result: Any, sections: dict[str, Any], shown: PageView
-) -> list[ViewReading]:
+) -> list[Values]:
     """The readings with their residuals; the last one is not taken yet."""
     drawing = result.drawing
     taken = msgspec.structs.replace(
@@ -485,7 +439,7 @@ def _add_residuals(
     )
     fitted = residuals_of_readings(msgspec.structs.replace(result, **sections), taken)
     readings = [
-        dataclasses.replace(one, residuals=residuals)
+        one | {"residuals": residuals}
         for one, residuals in zip(shown.readings, fitted, strict=False)
     ]
     return [*readings, shown.readings[-1]]

@@ -1,10 +1,9 @@
 """A page to take to the machine: set-ups, commands, joint values, and cells to fill in."""
 
-import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -52,38 +51,6 @@ SETUP_HEIGHT: Final = 10.0
 MAX_RUN_CHARACTERS: Final = 12  # characters
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class SheetTable:
-    """One set-up: its settings, and its readings in parts side by side."""
-
-    setup: str
-    settings: str
-    titles: Sequence[str]  #: of the columns
-    writing: int  #: number of columns to write in, the last ones
-    blocks: Sequence[Sequence[Sequence[str]]]  #: rows of each part
-    lines: int  #: rows of the tallest part with its heading, 0 without rows
-    more: str  #: where the rows are that the sheet leaves out
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class SheetStage:
-    """The set-ups of one stage."""
-
-    title: str
-    tables: Sequence[SheetTable]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Sheet:
-    """All text of the sheet; `row` is the height of a row, mm."""
-
-    title: str
-    machine: str
-    foot: str
-    stages: Sequence[SheetStage]
-    row: float
-
-
 def write_sheet(
     result: StudyResult, poses: Sequence[PlannedReading] | None, folder: Path
 ) -> Path:
@@ -106,8 +73,8 @@ def write_sheet(
     return write_own(folder / "measurement_sheet.pdf", page)
 
 
-def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
-    """The sheet as text: stages of tables."""
+def build(result: StudyResult, poses: Sequence[PlannedReading]) -> dict[str, Any]:
+    """The sheet as text: stages of tables, and the height of a row, mm."""
     settings = {setup.name: _settings(setup) for setup in result.setups}
     stages = []
     room = MAX_ROWS
@@ -120,14 +87,17 @@ def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
             room -= len(shown)
             table = _table(name, settings, shown, len(of_setup), also)
             tables.append(table)
-        stages.append(SheetStage(text.cleaned(title), tables))
-    return Sheet(
-        title=text.cleaned(result.title or result.study or "Measurements"),
-        machine=text.cleaned(result.machine.name),
-        foot=text.cleaned(footer(result)),
-        stages=stages,
-        row=_row_height(stages),
+        stages.append({"title": title, "tables": tables})
+    sheet: dict[str, Any] = document.cleaned_values(
+        {
+            "title": result.title or result.study or "Measurements",
+            "machine": result.machine.name,
+            "foot": footer(result),
+            "stages": stages,
+            "row": _row_height(stages),
+        }
     )
+    return sheet
 
 
 def _stages(
@@ -161,8 +131,14 @@ def _table(
     poses: Sequence[PlannedReading],
     count: int,
     covariates: Sequence[str],
-) -> SheetTable:
-    """One set-up with the poses shown, out of `count`; cells for readings and covariates."""
+) -> dict[str, Any]:
+    """One set-up with the poses shown, out of `count`; cells for readings and covariates.
+
+    writing  number of columns to write in, the last ones
+    blocks   rows of parts that stand side by side
+    lines    rows of the tallest part with its heading, 0 without rows
+    more     where the rows are that the sheet leaves out
+    """
     channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
     channels = channels or ["reading"]
     titles, cells = ["No."], [[str(k) for k in range(1, len(poses) + 1)]]
@@ -183,18 +159,15 @@ def _table(
     empty = [""] * len(written)
     rows = [[*row, *empty] for row in zip(*cells, strict=True)]
     per_part = _rows_per_part(len(rows), len(titles) + len(channels))
-    return SheetTable(
-        setup=text.cleaned(name),
-        settings=text.cleaned(settings.get(name, "")),
-        titles=[text.cleaned(title) for title in titles],
-        writing=len(written),
-        blocks=[
-            [[text.cleaned(cell) for cell in row] for row in rows[k : k + per_part]]
-            for k in range(0, len(rows), per_part)
-        ],
-        lines=per_part + 1 if rows else 0,
-        more=_more(count - len(poses), count),
-    )
+    return {
+        "setup": name,
+        "settings": settings.get(name, ""),
+        "titles": titles,
+        "writing": len(written),
+        "blocks": [rows[k : k + per_part] for k in range(0, len(rows), per_part)],
+        "lines": per_part + 1 if rows else 0,
+        "more": _more(count - len(poses), count),
+    }
 
 
 def _covariates(result: StudyResult) -> list[str]:
@@ -227,10 +200,10 @@ def _settings(setup: SetupInfo) -> str:
     return " · ".join(part for part in parts if part and part != text.MISSING)
 
 
-def _row_height(stages: Sequence[SheetStage]) -> float:
+def _row_height(stages: Sequence[Mapping[str, Any]]) -> float:
     """mm: as much room to write as fits on the page."""
-    tables = [table for stage in stages for table in stage.tables]
-    lines = sum(table.lines for table in tables)
+    tables = [table for stage in stages for table in stage["tables"]]
+    lines = sum(int(table["lines"]) for table in tables)
     headings = STAGE_HEIGHT * len(stages) + SETUP_HEIGHT * len(tables)
     height = (PAGE_HEIGHT - headings) / max(lines, 1)
     return round(min(MAX_ROW_HEIGHT, max(MIN_ROW_HEIGHT, height)), 2)

@@ -183,5 +183,5 @@ def test_the_plan_of_a_constraint_records_its_joints():
         assert list(row.reading.values()) == pytest.approx(values, abs=1e-4)
     assert "swing1_deg" in read.reading
     table = _table("lock1", {}, locked, len(locked), ())
-    assert table.writing == 3
-    assert len(table.titles) == 1 + 3 + 3  # number, command, joints
+    assert table["writing"] == 3
+    assert len(table["titles"]) == 1 + 3 + 3  # number, command, joints

@@ -307,19 +307,19 @@ def _rows(count: int, setup: str) -> list[PlannedReading]:
     ]
 
 
-def _tables(printed: sheet.Sheet) -> list[sheet.SheetTable]:
-    return [table for stage in printed.stages for table in stage.tables]
+def _tables(printed: dict[str, Any]) -> list[dict[str, Any]]:
+    return [table for stage in printed["stages"] for table in stage["tables"]]
 
 
-def _printed_rows(table: sheet.SheetTable) -> list[list[str]]:
+def _printed_rows(table: dict[str, Any]) -> list[list[str]]:
     """Rows of a set-up in reading order, one part after another."""
-    return [list(row) for block in table.blocks for row in block]
+    return [list(row) for block in table["blocks"] for row in block]
 
 
 def test_the_sheet_holds_every_pose_once_in_order():
     result = result_of(report_fixture_plan.sample())
     poses = result.design.poses
-    tables = {table.setup: table for table in _tables(sheet.build(result, poses))}
+    tables = {table["setup"]: table for table in _tables(sheet.build(result, poses))}
     for setup in ("short tool", "long tool"):
         commands = [pose.command for pose in poses if pose.setup == setup]
         rows = _printed_rows(tables[setup])
@@ -334,9 +334,9 @@ def test_the_sheet_holds_every_pose_once_in_order():
 def test_the_sheet_has_the_joints_beside_the_command():
     result = result_of(report_fixture_plan.sample())
     poses = [replace(p, joints={"q1_mm": 500.0 + p.order}) for p in _rows(8, "bar")]
-    (table,) = [t for t in _tables(sheet.build(result, poses)) if t.setup == "bar"]
-    column = list(table.titles).index("q1 [mm]")
-    assert table.titles[column - 1] == "psi [°]"
+    (table,) = [t for t in _tables(sheet.build(result, poses)) if t["setup"] == "bar"]
+    column = table["titles"].index("q1 [mm]")
+    assert table["titles"][column - 1] == "psi [°]"
     assert [float(row[column]) for row in _printed_rows(table)] == [
         500.0 + k for k in range(8)
     ]
@@ -349,7 +349,7 @@ def test_a_long_sheet_is_cut_and_says_so(counts, tmp_path):
     tables = _tables(sheet.build(result, poses))
     printed = sum(len(_printed_rows(table)) for table in tables)
     assert printed == min(sum(counts), sheet.MAX_ROWS)
-    notes = [re.match(r"\d+.*see poses.csv", table.more) for table in tables]
+    notes = [re.match(r"\d+.*see poses.csv", table["more"]) for table in tables]
     omitted = sum(int(note.group().split()[0]) for note in notes if note)
     assert omitted == sum(counts) - printed
     assert _pages(write_sheet(result, poses, tmp_path / "new").read_bytes()) == 1
