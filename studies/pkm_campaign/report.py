@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
 import json
 import math
@@ -36,25 +35,17 @@ AXIS = 0.8  #: height of the axis below the rows, inches
 NAME_LENGTH = 40  #: characters of the name beside a row
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Coverage:
-    """Share of intervals that hold the truth, with its interval (NaN without one)."""
-
-    share: float
-    low: float
-    high: float
-
-
-def draw_coverage(rows: Mapping[str, Coverage]) -> Figure:
-    """Coverage with its interval, a row each combination."""
+def draw_coverage(rows: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Share of intervals that hold the truth, with its interval, by combination."""
     if not rows:
         return style.empty("no machine could be fitted")
     drawn = style.figure(AXIS + ROW * len(rows))
     axes = drawn.subplots()
     for k, row in enumerate(rows.values()):
-        if not math.isnan(row.low):
-            axes.plot([row.low, row.high], [k, k], color="C0", linewidth=1.5)
-        axes.plot(row.share, k, "o", color="C0", markersize=4)
+        ends = [row["inside_95_low"], row["inside_95_high"]]
+        if not math.isnan(ends[0]):
+            axes.plot(ends, [k, k], color="C0", linewidth=1.5)
+        axes.plot(row["inside_95"], k, "o", color="C0", markersize=4)
     axes.axvline(NOMINAL_COVERAGE, color="0.5", linewidth=0.8)
     axes.set_yticks(range(len(rows)), [style.label(n, NAME_LENGTH) for n in rows])
     axes.set_ylim(len(rows) - 0.5, -0.5)
@@ -74,8 +65,7 @@ def machine_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
 
 def machine_sentences(campaign: Campaign, rows: Rows) -> list[str]:
     """What a summary says, the most important first."""
-    failed = sum(int(row["failed"]) for row in rows)
-    count = sum(int(row["cases"]) for row in rows)
+    count, failed = _counts(rows)
     lines = [
         f"{count} virtual machines in {len(rows)} combinations; {failed} could not be"
         " fitted."
@@ -139,9 +129,7 @@ def _intervals(campaign: Campaign, rows: Rows) -> list[Block]:
         " of machines whose fit is not to be trusted."
     )
     named = {
-        campaign.words(row): Coverage(
-            row["inside_95"], row["inside_95_low"], row["inside_95_high"]
-        )
+        campaign.words(row): row
         for row in rows
         if not math.isnan(row.get("inside_95", math.nan))
     }
@@ -221,7 +209,7 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write `report.html` and `report.pdf` of a campaign's summary; their paths."""
     rows = _rows(summary)
-    count = sum(int(row["cases"]) for row in rows)
+    count, _ = _counts(rows)
     if campaign.varied is None:
         machine, asked = "", f"{count} cases of {campaign.case}"
         chapters = function_chapters(campaign, rows)
@@ -247,10 +235,14 @@ def sentences(campaign: Campaign, summary: pd.DataFrame) -> list[str]:
     """What a summary says, the most important first."""
     rows = _rows(summary)
     if campaign.varied is None:
-        failed = sum(int(row["failed"]) for row in rows)
-        count = sum(int(row["cases"]) for row in rows)
+        count, failed = _counts(rows)
         return [f"{count} cases in {len(rows)} combinations; {failed} failed."]
     return machine_sentences(campaign, rows)
+
+
+def _counts(rows: Rows) -> tuple[int, int]:
+    """How many cases there are, and how many of them failed."""
+    return sum(int(r["cases"]) for r in rows), sum(int(r["failed"]) for r in rows)
 
 
 def _rows(summary: pd.DataFrame) -> Rows:

@@ -111,7 +111,7 @@ class MachinePage:
 
     def _job_values(self) -> dict[str, Any]:
         machine = self.session.measurement.machine.name
-        cards = [card for card in self.shelf.cards() if card.machine == machine]
+        cards = [card for card in self.shelf.cards() if card["machine"] == machine]
         return {
             "job": self.job.state,
             "cards": cards,

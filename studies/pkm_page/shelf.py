@@ -1,13 +1,12 @@
 """The results below a folder, each under a key that is no path."""
 
-import dataclasses
 import datetime
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from oed import trust
-from oed.result import Judgement, StudyResult
+from oed.result import StudyResult
 from pkm_reports import text
 from pkm_studies import files
 from pkm_studies.base import InputError
@@ -20,22 +19,7 @@ RESULT: Final = "result.json"
 KEY_DIGITS: Final = 12  #: hexadecimal digits of a key
 
 
-@dataclasses.dataclass(frozen=True)
-class Card:
-    """A result in short: accuracy before and after by component, and what speaks against it."""
-
-    key: str  #: of its folder, for addresses
-    place: str  #: its folder, relative to the shelf's
-    title: str
-    machine: str
-    written: str
-    readings: str
-    accuracy: tuple[tuple[str, str, str], ...]
-    doubts: tuple[str, ...]
-    #: whether a controller's file and an acceptance test follow from it
-    is_usable: bool
-    is_planned: bool  #: whether an acceptance test is planned
-    verdict: Judgement | None  #: of that test; None before
+Card = dict[str, Any]  #: by the names that the template reads
 
 
 class Shelf:
@@ -99,24 +83,34 @@ class Shelf:
         return self._cards[key, stamp]
 
     def _result_card(self, key: str, folder: Path, result: StudyResult) -> Card:
+        """A result in short.
+
+        key         of its folder, for addresses
+        place       its folder, relative to the shelf's
+        accuracy    before and after by component
+        doubts      what speaks against it
+        is_usable   whether a controller's file and an acceptance test follow from it
+        is_planned  whether an acceptance test is planned
+        verdict     of that test; None before
+        """
         written = (folder / RESULT).stat().st_mtime
         day = datetime.datetime.fromtimestamp(written).isoformat(" ", "minutes")
         test = result.verification
-        return Card(
-            key=key,
-            place=folder.relative_to(self.root).as_posix(),
-            title=text.cleaned(result.title),
-            machine=text.cleaned(result.machine.name),
-            written=day,
-            readings=_readings(result),
-            accuracy=_accuracy(result),
-            doubts=tuple(
+        return {
+            "key": key,
+            "place": folder.relative_to(self.root).as_posix(),
+            "title": text.cleaned(result.title),
+            "machine": text.cleaned(result.machine.name),
+            "written": day,
+            "readings": _readings(result),
+            "accuracy": _accuracy(result),
+            "doubts": tuple(
                 text.cleaned(sentence) for sentence in trust.objections(result)
             ),
-            is_usable=result.estimate is not None or result.prediction is not None,
-            is_planned=result.acceptance is not None,
-            verdict=None if test is None else test.judgement,
-        )
+            "is_usable": result.estimate is not None or result.prediction is not None,
+            "is_planned": result.acceptance is not None,
+            "verdict": None if test is None else test.judgement,
+        }
 
 
 def _readings(result: StudyResult) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base import Array
-from pkm_printers.words import WordAccount, WordTable, WrittenWord, account
+from pkm_printers.words import WordTable, WrittenWord, account
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
@@ -211,8 +211,8 @@ def files_of(lines: Sequence[TextLine]) -> str:
     return ", ".join(dict.fromkeys(line.file for line in lines))
 
 
-def account_of(lines: Sequence[TextLine], table: WordTable) -> WordAccount:
-    """What becomes of the words of all commands. Raises InputError."""
+def account_of(lines: Sequence[TextLine], table: WordTable) -> list[str]:
+    """Sentences on what becomes of the words of all commands. Raises InputError."""
     names = [command.name for command in commands(lines)]
     return account(_written(lines, table), names, table)
 

@@ -96,7 +96,7 @@ class HangprinterImporter:
         accounts = [
             *order.notes,
             *gcode.order_text(texts),
-            *gcode.account_of(lines, WORDS).sentences(),
+            *gcode.account_of(lines, WORDS),
         ]
         table = machine_table(anchors, spools)
         motors = _letters(anchors)

@@ -186,7 +186,7 @@ def config_account(
         if _kind(name) not in COSTLY_SECTIONS and not name.startswith(INCLUDE)
     ]
     accounts = account(_written(config, words), plain, words)
-    return [*accounts.sentences(), *_costly(config), *_included(config, files)]
+    return [*accounts, *_costly(config), *_included(config, files)]
 
 
 def _group(name: str, words: WordTable) -> str:

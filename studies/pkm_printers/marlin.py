@@ -150,7 +150,7 @@ class MarlinImporter:
             ),
             geometry=geometry,
             points=_points_over_bed(points, settings, rules),
-            accounts=account.sentences(),
+            accounts=account,
             notes=[
                 *_text_about_b(b, delta),
                 *probed.notes,

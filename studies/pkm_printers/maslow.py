@@ -115,7 +115,7 @@ class MaslowImporter:
         """Anchors and belt lengths. Raises InputError."""
         lines = gcode.read(request.files)
         written = _written(lines)
-        accounts = account(written, _other_keys(lines), WORDS).sentences()
+        accounts = account(written, _other_keys(lines), WORDS)
         anchors = _anchors(written, lines)
         belts, notes = _belts(lines)
         notes += gcode.order_text(lines)

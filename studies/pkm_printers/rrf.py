@@ -114,7 +114,7 @@ class RrfImporter:
             controller=printer.controller,
             geometry=printer.geometry,
             points=points,
-            accounts=account.sentences(),
+            accounts=account,
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
             free=facts.factors(lines, printer.factors),
             repeated=repeated_in_log(lines),

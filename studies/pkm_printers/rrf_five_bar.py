@@ -106,7 +106,7 @@ def five_bar_session(request: ImportRequest, tables: Sequence[Path]) -> Imported
             "reach_mm": float(np.ptp(places, axis=0).max() / 2.0),
         },
     )
-    notes = [*order.notes, *account.sentences()]
+    notes = [*order.notes, *account]
     text = imported_study(
         request,
         Model.from_table(table, request.consent),

@@ -87,7 +87,7 @@ class SmoothieImporter:
             controller=ControllerTable(firmware="smoothie", home_offset_mm=home),
             geometry=_geometry(delta, gcode.optional(lines, "M666"), home),
             points=_points(lines, (x, y)),
-            accounts=gcode.account_of(lines, WORDS).sentences(),
+            accounts=gcode.account_of(lines, WORDS),
             notes=["Heights: the one nearest the middle stays as the firmware has it."],
             free=facts.factors(lines) or _fitted(lines),
             repeated=repeated_in_log(lines),

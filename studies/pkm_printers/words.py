@@ -82,34 +82,13 @@ class WrittenWord:
     error: Callable[[str, str], InputError]
 
 
-@dataclasses.dataclass(frozen=True)
-class WordAccount:
-    """What became of all words of the files."""
-
-    read: Mapping[str, list[str]]  #: keys by group
-    costly: list[str]  #: sentences on words that are not read, with what that may cost
-    harmless: Mapping[str, list[str]]  #: keys by group that are no part of the geometry
-    others: list[str]  #: groups that the table lacks
-
-    def sentences(self) -> list[str]:
-        """The account in words."""
-        sentences = []
-        if self.read:
-            sentences.append(f"Words read: {_listed(self.read)}.")
-        sentences += self.costly
-        if self.harmless:
-            listed = _listed(self.harmless)
-            sentences.append(f"Not read, no part of the geometry: {listed}.")
-        if self.others:
-            listed = ", ".join(self.others)
-            sentences.append(f"Not read, taken for no part of the geometry: {listed}.")
-        return sentences
-
-
 def account(
     written: Iterable[WrittenWord], others: Iterable[str], table: WordTable
-) -> WordAccount:
-    """What becomes of each word among groups. Raises InputError for unknown ones."""
+) -> list[str]:
+    """Sentences on what becomes of each word. Raises InputError for unknown ones.
+
+    others  groups, those that the table lacks among them
+    """
     read: dict[str, list[str]] = {}
     harmless: dict[str, list[str]] = {}
     costly: dict[str, dict[str, int]] = {}
@@ -130,8 +109,14 @@ def account(
             unknown.append(group)
         elif not table[group]:
             harmless.setdefault(group, [])
-    sentences = [cost_sentence(places, about) for about, places in costly.items()]
-    return WordAccount(read, sentences, harmless, unknown)
+    sentences = [f"Words read: {_listed(read)}."] if read else []
+    sentences += [cost_sentence(places, about) for about, places in costly.items()]
+    if harmless:
+        sentences.append(f"Not read, no part of the geometry: {_listed(harmless)}.")
+    if unknown:
+        listed = ", ".join(unknown)
+        sentences.append(f"Not read, taken for no part of the geometry: {listed}.")
+    return sentences
 
 
 def cost_sentence(places: Mapping[str, int], about: str) -> str:
