@@ -36,10 +36,10 @@ class ReadingInterval:
 
 
 def interval(
-    adviser: Adviser, fitted: FittedReadings | None, series: Series, row: int
+    adviser: Adviser, fitted: FittedReadings | None, series: Series
 ) -> ReadingInterval:
     """The interval of one reading, from the tolerances or from the readings so far."""
-    one = [series.take(np.array([row]))]
+    one = [series]
     if fitted is None:
         measurement = adviser.base.measurement
         nothing = np.zeros(len(measurement.sigma(one)))

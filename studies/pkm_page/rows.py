@@ -52,7 +52,8 @@ def sent_cells(measurement: Measurement, series: Series, row: int) -> Series:
             for k in poses
         ]
     )
-    return measurement.series(series.setup, command, [run] * len(command))
+    sent = measurement.series(series.setup, command, [run] * len(command))
+    return sent.take(np.array([0]))
 
 
 def _rounded(value: float, coordinate: Coordinate) -> float:
@@ -76,23 +77,18 @@ def entry_columns(measurement: Measurement, setup: str) -> list[Coordinate]:
 
 
 def reading_rows(
-    measurement: Measurement,
-    series: Series,
-    row: int,
-    values: Sequence[float],
-    content: FileContent,
+    measurement: Measurement, one: Series, values: Sequence[float], content: FileContent
 ) -> list[dict[str, str]]:
-    """Rows for a reading of a series' row; values in the units of its columns.
+    """Rows for a series of one reading; values in the units of its columns.
 
     A reading that is relative to a reference of its run has the reference's row before
     it, unless a run of the file begins at that pose.
     """
-    one = series.take(np.array([row]))
-    setup = measurement.setups[series.setup]
+    setup = measurement.setups[one.setup]
     empty = np.full(len(setup.instrument.channels), np.nan)
     planned = dataset.to_csv(dataset.from_series([one], empty, measurement))
     rows = list(csv.DictReader(io.StringIO(planned, newline="")))
-    columns = entry_columns(measurement, series.setup)
+    columns = entry_columns(measurement, one.setup)
     for c, value in zip(columns, values, strict=True):
         rows[-1][ReadingsColumn.of(c.name, c.unit).name] = f"{value:.15g}"
     if len(rows) == 1:
@@ -110,11 +106,11 @@ def reading_rows(
 
 
 def needs_reference(
-    content: FileContent, series: Series, row: int, measurement: Measurement
+    content: FileContent, series: Series, measurement: Measurement
 ) -> bool:
     """Whether the instrument is to be zeroed at the reference before a reading."""
     empty = [0.0] * len(entry_columns(measurement, series.setup))
-    return len(reading_rows(measurement, series, row, empty, content)) > 1
+    return len(reading_rows(measurement, series, empty, content)) > 1
 
 
 def last_reading(content: FileContent, measurement: Measurement) -> int | None:
@@ -154,16 +150,12 @@ def mark_undone(
 
 
 def skipped_rows(
-    measurement: Measurement,
-    series: Series,
-    row: int,
-    content: FileContent,
-    reason: str,
+    measurement: Measurement, series: Series, content: FileContent, reason: str
 ) -> list[dict[str, str]]:
     """Rows for a skipped pose, without a value; a relative one is a run of its own."""
     columns = entry_columns(measurement, series.setup)
     fresh = dataclasses.replace(content, rows=())
-    new = reading_rows(measurement, series, row, [0.0] * len(columns), fresh)
+    new = reading_rows(measurement, series, [0.0] * len(columns), fresh)
     names = {ReadingsColumn.of(c.name, c.unit).name for c in columns}
     new[-1] |= dict.fromkeys(names, "")
     cleaned = clean_remark(reason)

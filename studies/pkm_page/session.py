@@ -62,15 +62,10 @@ class ReadingEntry(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where the next reading is to be taken.
+    """Where the next reading is to be taken."""
 
-    series, row  as the controller is sent it
-    repeated     whether it is the last reading's pose again
-    """
-
-    series: Series
-    row: int
-    repeated: bool = False
+    series: Series  #: of this reading alone, as the controller is sent it
+    repeated: bool  #: whether it is the last reading's pose again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +127,7 @@ class MachineSession:
             values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
             sign = approach.cell(entry.direction, self.next_approach(content, pose))
             content = rows.add_clock(content, measurement)
-            new = rows.reading_rows(measurement, pose.series, pose.row, values, content)
+            new = rows.reading_rows(measurement, pose.series, values, content)
             new[-1] |= rows.time_cell(content)
             if sign:
                 new[-1][approach.DIRECTION] = sign
@@ -178,9 +173,7 @@ class MachineSession:
             content, pose = self._based_on(version), self._pose()
             if pose.repeated:
                 raise InputError("this pose was read already", "go on without")
-            new = rows.skipped_rows(
-                self.measurement, pose.series, pose.row, content, reason
-            )
+            new = rows.skipped_rows(self.measurement, pose.series, content, reason)
             self._write(version, content.replace_rows(new))
 
     def take_skip_back(self, version: str) -> None:
@@ -243,23 +236,23 @@ class MachineSession:
             cells = map(content.cells, range(1, len(content.rows)))
             skipped = list(SkippedPose.from_rows(cells, self.measurement))
             advice = self.adviser.advise_fitted(fitted, skipped)
-            pose = Pose(advice.series, advice.row)
-            if repeated and fitted is not None:
-                pose = self._last_pose(fitted)
-            series = rows.sent_cells(self.measurement, pose.series, pose.row)
+            series, row = advice.series, advice.row
+            is_repeated = repeated and fitted is not None
+            if is_repeated and fitted is not None:
+                series, row = self._last_pose(fitted)
+            sent = rows.sent_cells(self.measurement, series, row)
         except FIT_ERRORS as error:
             return SessionState(content, None, None, None, str(error))
-        pose = Pose(series, 0, pose.repeated)
-        return SessionState(content, fitted, advice, pose)
+        return SessionState(content, fitted, advice, Pose(sent, is_repeated))
 
-    def _last_pose(self, fitted: FittedReadings) -> Pose:
+    def _last_pose(self, fitted: FittedReadings) -> tuple[Series, int]:
         data = fitted.state.resolved.dataset
         if data is None:
             raise LookupError("readings without a dataset")
         index = int(np.argmax(data.covariates["row"].to_numpy()))
         for series in data.series:
             if index < len(series):
-                return Pose(series, index, repeated=True)
+                return series, index
             index -= len(series)
         raise IndexError(index)
 
@@ -293,8 +286,8 @@ class MachineSession:
         """What speaks against the content's last reading."""
         pose = self._pose()
         fitted = self.state.fitted
-        series, row, y = self._read_values(pose, values)
-        expected = doubts.interval(self.adviser, fitted, series, row)
+        series, y = self._read_values(pose, values)
+        expected = doubts.interval(self.adviser, fitted, series)
         sentences = doubts.value_doubts(
             self.measurement, series.setup, expected, y, entries
         )
@@ -308,9 +301,7 @@ class MachineSession:
             return []
         return list(doubts.session_doubts(fitted, refitted, self._row_in_file(after)))
 
-    def _read_values(
-        self, pose: Pose, values: Sequence[float]
-    ) -> tuple[Series, int, Array]:
+    def _read_values(self, pose: Pose, values: Sequence[float]) -> tuple[Series, Array]:
         """The pose and the channels' values (k,), SI; joints where these are recorded."""
         measurement = self.measurement
         setup = measurement.setups[pose.series.setup]
@@ -322,18 +313,14 @@ class MachineSession:
             ]
         )
         if setup.instrument.implied is None:
-            return pose.series, pose.row, si
+            return pose.series, si
         try:
             series = measurement.series_from_joints(setup.name, si[None], ["entry"])
         except AssemblyError as error:
             raise InputError(
                 f"the machine has no pose with these joints: {error}", "read them again"
             ) from error
-        return (
-            series,
-            0,
-            np.full(len(setup.instrument.channels), setup.instrument.implied),
-        )
+        return series, np.full(len(setup.instrument.channels), setup.instrument.implied)
 
     def _row_in_file(self, content: FileContent) -> int:
         """Number of the last row as a spreadsheet counts, comments included."""

@@ -257,10 +257,9 @@ def _pose_values(
     session: MachineSession, state: SessionState, pose: Pose
 ) -> dict[str, Any]:
     """Command, joints, entries and steps of the next reading."""
-    measurement, series, row = session.measurement, pose.series, pose.row
-    machine = measurement.machine
-    command = describe.displayed_command(machine, series.reading_commands()[row])
-    joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
+    machine, series = session.measurement.machine, pose.series
+    command = describe.displayed_command(machine, series.reading_commands()[0])
+    joints = describe.displayed_joints(machine, series.q[series.index[0, 0]])
     return {
         "setup": series.setup,
         "command": _numbers(command),
@@ -287,17 +286,17 @@ def _fields(
     session: MachineSession, state: SessionState, pose: Pose
 ) -> list[dict[str, str]]:
     """Numbers to enter: name, unit, what each should be, and its ends or empty texts."""
-    measurement, series, row = session.measurement, pose.series, pose.row
+    measurement, series = session.measurement, pose.series
     columns = rows.entry_columns(measurement, series.setup)
     names = [text.split_unit(ReadingsColumn.of(c.name, c.unit).name) for c in columns]
     if measurement.setups[series.setup].instrument.implied is not None:
-        q = series.q[series.index[row, 0]]
+        q = series.q[series.index[0, 0]]
         shown = [written(float(v), c.unit)[0] for v, c in zip(q, columns, strict=True)]
         return [
             _field(stem, unit, f"{value:.7g}", "", "")
             for (stem, unit), value in zip(names, shown, strict=True)
         ]
-    expected = doubts.interval(session.adviser, state.fitted, series, row)
+    expected = doubts.interval(session.adviser, state.fitted, series)
     fields = []
     for k, ((stem, unit), c) in enumerate(zip(names, columns, strict=True)):
         middle, half = float(expected.middle[k]), float(expected.half[k])
@@ -322,8 +321,8 @@ def _steps(session: MachineSession, state: SessionState, pose: Pose) -> list[str
     before = None if row is None else state.content.cells(row).get("setup", "").strip()
     if before != setup.name:
         steps += _mounting(measurement, setup, change=before is not None)
-    if rows.needs_reference(state.content, pose.series, pose.row, measurement):
-        reference = pose.series.command[pose.series.index[pose.row, 1]]
+    if rows.needs_reference(state.content, pose.series, measurement):
+        reference = pose.series.command[pose.series.index[0, 1]]
         command = describe.displayed_command(measurement.machine, reference)
         steps.append(
             f"Drive to {text.named_quantities(command, 7)} and zero the instrument there."
@@ -412,7 +411,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
             measured.measurement, series, estimate, None
         )
     if state.pose is not None:
-        series = (*series, state.pose.series.take(np.array([state.pose.row])))
+        series = (*series, state.pose.series)
     drawing = describe.drawing(measurement, series)
     setups = [
         describe.setup_info(measurement.machine, setup)

@@ -121,7 +121,7 @@ class Operator:
     def display(self) -> list[str]:
         """What the instrument shows at the present pose, mm, four decimals."""
         pose = self.session.state.pose
-        one = [pose.series.take(np.array([pose.row]))]
+        one = [pose.series]
         machine = self.session.measurement
         noise = machine.sigma(one) * self.rng.standard_normal(len(machine.sigma(one)))
         y = machine.readings(one, self.truth) + noise
