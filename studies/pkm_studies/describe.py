@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 import oed
 from oed import units
-from oed.base import Array, Index
+from oed.base import Array
 from oed.instrument import Channel, Setup
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
@@ -294,21 +294,16 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
             tip = [float(v) for v in tool_points[row[0]]]
             tips.append(tip)
             owners.append(s.setup)
-            far_end = _far_end(setup, tool_points, row)
-            bars.append([] if far_end is None else [far_end, tip])
+            # the other end of what is measured, if it has a place
+            place = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
+            if len(row) == 2:
+                place = tool_points[row[1]].tolist()
+            far_end = [float(v) for v in place if v is not None]
+            bars.append([far_end, tip] if len(far_end) == len(place) else [])
     labels = parameter_labels(kinematics, x[0], q[0])
     if not any(bars):
         bars = []
     return Drawing(lines, tips, owners, bars, runs, commands, labels)
-
-
-def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None:
-    """The other end of what is measured, m, if it has a place."""
-    if len(row) == 2:
-        return [float(v) for v in tool_points[row[1]]]
-    location = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
-    coordinates = [float(v) for v in location if v is not None]
-    return coordinates if len(coordinates) == len(location) else None
 
 
 def _displayed_value(value: float, unit: str) -> float:

@@ -42,23 +42,6 @@ def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:
     return None
 
 
-def identified_values(result: StudyResult, machine: Machine) -> tuple[Array, Array]:
-    """Identified parameters (np,) and their standard deviations, SI; else nominal, 0.
-
-    Those of the section `corrected` come first: they are estimated together with the
-    effects that a diagnosis found.
-    """
-    section = result.final_estimate
-    estimates = {} if section is None else section.parameters
-    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
-    for k, parameter in enumerate(machine.parameters):
-        estimate = estimates.get(parameter.name)
-        if estimate is not None:
-            values[k] = units.to_si(estimate.value, estimate.unit)
-            sd[k] = units.to_si(estimate.sd, estimate.unit)
-    return values, sd
-
-
 def controller_values(
     result: StudyResult, machine: Machine, *, with_effects: bool = False
 ) -> tuple[Array, Array]:
@@ -68,7 +51,14 @@ def controller_values(
     With the effects of the best answer corrected as well (`with_effects`), those
     estimated together with them.
     """
-    values, sd = identified_values(result, machine)
+    estimated = result.final_estimate
+    estimates = {} if estimated is None else estimated.parameters
+    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
+    for k, p in enumerate(machine.parameters):
+        estimate = estimates.get(p.name)
+        if estimate is not None:
+            values[k] = units.to_si(estimate.value, estimate.unit)
+            sd[k] = units.to_si(estimate.sd, estimate.unit)
     section = result.controller_mixture or result.final_estimate
     if section is None or with_effects:
         return values, sd

@@ -198,7 +198,20 @@ def plan_section(
     most: int,
 ) -> AcceptanceSection:
     """The acceptance plan. Raises InputError where no other poses are left."""
-    candidates = _other_poses(result, accuracy)
+    command = accuracy.command
+    names = list(describe.displayed_command(accuracy.machine, command[0]))
+    commands = [] if result.estimate is None else result.estimate.commands
+    rows = [
+        [float(units.to_si(c[n], units.split(n)[1])) for n in names] for c in commands
+    ]
+    used = np.array(rows).reshape(len(rows), len(names))
+    # workspace poses that the calibration did not read
+    candidates = np.arange(len(command))
+    if len(used):
+        size = np.ptp(np.vstack([command, used]), axis=0)
+        scaled = np.where(size > 0.0, size, 1.0)
+        distance = np.abs(command[:, None] - used[None]) / scaled
+        candidates = np.flatnonzero(distance.max(axis=2).min(axis=1) > MIN_RANGE_SHARE)
     if not len(candidates):
         raise InputError(
             "every workspace pose is one of the calibration",
@@ -259,23 +272,6 @@ def _offsets(further: FurtherPromise, plan: AcceptancePlan) -> list[dict[str, fl
         }
         for k in plan.poses
     ]
-
-
-def _other_poses(result: StudyResult, accuracy: PromisedAccuracy) -> Index:
-    """Numbers of the workspace poses that the calibration did not read."""
-    command = accuracy.command
-    names = list(describe.displayed_command(accuracy.machine, accuracy.command[0]))
-    commands = [] if result.estimate is None else result.estimate.commands
-    rows = [
-        [float(units.to_si(c[n], units.split(n)[1])) for n in names] for c in commands
-    ]
-    used = np.array(rows).reshape(len(rows), len(names))
-    if not len(used):
-        return np.arange(len(command))
-    size = np.ptp(np.vstack([command, used]), axis=0)
-    scaled = np.where(size > 0.0, size, 1.0)
-    distance = np.abs(command[:, None] - used[None]) / scaled
-    return np.flatnonzero(distance.max(axis=2).min(axis=1) > MIN_RANGE_SHARE)
 
 
 def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from oed import units
-from oed.base import Orientation
 from oed.dataset import ReadingsColumn
 from oed.instrument import Channel, Instrument
 from oed.model import Component, Coordinate, Machine, Parameter, PassiveJoint
@@ -57,9 +56,12 @@ def machine_frames(machine: Machine) -> list[str]:
     if machine.tool_axis:
         sentences.append(f"tool axis, z of the platform's frame: {machine.tool_axis}")
     if machine.orientation is not None:
+        explained = ""
+        if any(kind == "tilt" for kind, _ in machine.orientation.factors):
+            explained = ", T(rx, ry) a rotation by the vector (rx, ry, 0)"
         sentences.append(
             f"orientation of the platform's frame in the base frame:"
-            f" {machine.orientation.formula}{_explained(machine.orientation)}"
+            f" {machine.orientation.formula}{explained}"
         )
     return sentences
 
@@ -122,12 +124,6 @@ def _add_drive(component: Component) -> str:
     if component.compensatable:
         return component.about
     return f"{component.about}; no drive corrects it"
-
-
-def _explained(orientation: Orientation) -> str:
-    if not any(kind == "tilt" for kind, _ in orientation.factors):
-        return ""
-    return ", T(rx, ry) a rotation by the vector (rx, ry, 0)"
 
 
 def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> str:

@@ -17,7 +17,7 @@ from oed.base import Array, Index
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.mechanism import AssemblyError, Kinematics
-from oed.model import Coordinate, Machine
+from oed.model import Machine
 from pkm_studies import csv_table, quantities
 from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
@@ -124,7 +124,15 @@ def given_poses(
     machine = kinematics.machine
     field = location.key(kind)
     if kind in POINT_FORMS:
-        fixed = _single_values(table, machine, location)
+        fixed = {}  # coordinates given with one value, SI
+        for column, axis in table.coordinates.items():
+            name, unit = quantities.split_key(column, command_units(machine), location)
+            if not isinstance(axis, float | int):
+                remedy = "give one value, and a table for each further one"
+                raise location.key(column).error(
+                    "beside points it has one value", remedy
+                )
+            fixed[name] = float(units.to_si(axis, unit))
         points, run = _points(table, kind)
         command = ToolPoints(kinematics, tool).commands(points, fixed, field)
         return Poses(command, run)
@@ -216,20 +224,6 @@ def circle_points(circle: CircleTable) -> tuple[Array, list[str]]:
         points.append(np.array(circle.centre_mm) + circle.radius_mm * around)
         run += [f"circle {circle.plane} {direction}"] * circle.count
     return units.to_si(np.concatenate(points), "mm"), run
-
-
-def _single_values(
-    table: GridTable, machine: Machine, location: Location
-) -> dict[str, float]:
-    """SI values of the coordinates given with one value. Raises InputError."""
-    values = {}
-    for key, axis in table.coordinates.items():
-        name, unit = quantities.split_key(key, command_units(machine), location)
-        if not isinstance(axis, float | int):
-            remedy = "give one value, and a table for each further one"
-            raise location.key(key).error("beside points it has one value", remedy)
-        values[name] = float(units.to_si(axis, unit))
-    return values
 
 
 def _sampled(
@@ -387,27 +381,18 @@ def grid_commands(
                 )
             hold = name
         values[name] = units.to_si(_axis_values(axis, field), unit)
-    _check_complete(values, machine, location)
-    axis_values = [values[c.name] for c in machine.command]
-    mesh = np.meshgrid(*axis_values, indexing="ij")
-    return np.column_stack([m.ravel() for m in mesh]), hold, keys
-
-
-def _check_complete(
-    values: Mapping[str, Array], machine: Machine, location: Location
-) -> None:
-    """Raises InputError for a coordinate without values, and for too many poses."""
-    for c in machine.command:
-        if c.name not in values:
-            key = quantities.column(c.name, c.unit)
-            remedy = (
-                f'give {key}, or {c.name} = "hold" where the instrument leads the tool'
-            )
-            raise location.key(key).error("missing", remedy)
+    for coordinate in machine.command:
+        if coordinate.name not in values:
+            column = quantities.column(coordinate.name, coordinate.unit)
+            remedy = f'give {column}, or {coordinate.name} = "hold" where the instrument leads the tool'
+            raise location.key(column).error("missing", remedy)
     count = math.prod(len(v) for v in values.values())
     if count > MAX_POSES:
         remedy = f"take at most {MAX_POSES}: fewer values a coordinate"
         raise location.error(f"the grid has {count} poses", remedy)
+    axis_values = [values[c.name] for c in machine.command]
+    mesh = np.meshgrid(*axis_values, indexing="ij")
+    return np.column_stack([m.ravel() for m in mesh]), hold, keys
 
 
 def _coordinate(
@@ -500,22 +485,6 @@ def planned_series(
     return series.expand_passes(measurement.setups[setup].protocol)
 
 
-def run_labels(
-    command: Array,
-    by: str | None,
-    coordinates: Sequence[Coordinate],
-    location: Location,
-) -> list[str]:
-    """Run of each pose: "1", or one for each value of coordinate `by` (`z=1146mm`)."""
-    if by is None:
-        return ["1"] * len(command)
-    names = [c.name for c in coordinates]
-    known_name(by, names, location.key("runs_by"), "coordinate")
-    k = names.index(by)
-    values = [format_value(value, coordinates[k].unit) for value in command[:, k]]
-    return [f"{by}={value.replace(' ', '')}" for value in values]
-
-
 def grid_series(
     table: GridTable, measurement: Measurement, location: Location, *, strict: bool
 ) -> tuple[Series, int]:
@@ -540,7 +509,15 @@ def grid_series(
     command, lost = solve_held(
         measurement, table.setup, command, hold, location, strict=strict
     )
-    run = run_labels(command, table.runs_by, machine.command, location)
+    run = ["1"] * len(command)  # or one for each value of a coordinate
+    if table.runs_by is not None:
+        names = [c.name for c in machine.command]
+        known_name(table.runs_by, names, location.key("runs_by"), "coordinate")
+        k = names.index(table.runs_by)
+        values = [
+            format_value(value, machine.command[k].unit) for value in command[:, k]
+        ]
+        run = [f"{table.runs_by}={value.replace(' ', '')}" for value in values]
     return planned_series(measurement, table.setup, command, run, location), lost
 
 

@@ -213,7 +213,12 @@ def _described(
     field = location.key("model")
     model: Machine = catalogue.machine(table.model, origin, field, assembled=assembled)
     machine = _family_machine(table, model, location)
-    machine = _replace_nominal(table, machine, location)
+    if table.nominal:
+        unit_of = {p.name: p.unit for p in machine.parameters}
+        machine = replace_nominal(
+            machine,
+            quantities.read_values(table.nominal, unit_of, location.key("nominal")),
+        )
     machine = _replace_ranges(table, machine, location)
     changed = machine is not model or user_code.is_file(table.model)
     if isinstance(table.drive, DriveTable):
@@ -288,17 +293,6 @@ def _check_shape(array: Array, dimension: Dimension, location: Location) -> None
         shape = " x ".join(map(str, array.shape)) or "1"
         problem = f"{shape} numbers, where {counts} belong"
         raise location.error(problem, f"give {dimension.about}")
-
-
-def _replace_nominal(
-    table: MachineTable, model: Machine, location: Location
-) -> Machine:
-    if not table.nominal:
-        return model
-    unit_of = {p.name: p.unit for p in model.parameters}
-    return replace_nominal(
-        model, quantities.read_values(table.nominal, unit_of, location.key("nominal"))
-    )
 
 
 def replace_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:

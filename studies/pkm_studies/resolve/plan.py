@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import planning, units
-from oed.base import Array
 from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
@@ -280,7 +279,12 @@ def _option(
         raise location.error(str(error), "change counts, or the grid") from error
     if table.reading_s is None:
         return option
-    seconds = _candidate_seconds(option, table.reading_s)
+    mounted, candidates = option.measurement, option.candidates
+    each = []
+    for setup in candidates.setups:
+        usual = mounted.setups[setup].instrument.cost.reading
+        each.append(table.reading_s * mounted.reading_seconds(setup) / usual)
+    seconds: Array = np.array(each)[candidates.setup] * candidates.members[:, 1]
     return dataclasses.replace(option, candidate_seconds=seconds)
 
 
@@ -300,14 +304,3 @@ def _grid(
     positions = {run: k for k, run in enumerate(dict.fromkeys(series.run))}
     order = np.argsort([positions[run] for run in series.run], kind="stable")
     return series.take(order)
-
-
-def _candidate_seconds(option: Option, pass_seconds: float) -> Array:
-    """Time (C,) of each candidate where one pass of a reading takes `pass_seconds`."""
-    measurement, candidates = option.measurement, option.candidates
-    seconds = []
-    for name in candidates.setups:
-        usual = measurement.setups[name].instrument.cost.reading
-        seconds.append(pass_seconds * measurement.reading_seconds(name) / usual)
-    each = np.array(seconds)
-    return each[candidates.setup] * candidates.members[:, 1]

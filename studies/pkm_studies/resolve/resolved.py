@@ -80,25 +80,7 @@ if TYPE_CHECKING:
     from oed.dataset import Dataset
 
 
-# Which readings are fitted, held out or simulated, and which set-ups they use.
-def used_setups(
-    study: Study,
-    candidates: Sequence[Series],
-    design: DesignRequest | None,
-    references: Sequence[ReferencePlan],
-    setups: Mapping[str, Setup],
-) -> Iterable[str]:
-    """Set-ups of candidates and readings; without both, of reference plans, or all."""
-    used = {s.setup for s in candidates}
-    if candidates and design is not None:
-        used |= {s.setup for s in design.retained}
-    if study.readings is not None:
-        recorded = not study.readings.simulate
-        used |= set(study.readings.fit or (setups if recorded else ()))
-        used |= set(study.readings.predict)
-    return used or {name for plan in references for name in plan.setups} or setups
-
-
+# Which readings are fitted, held out or simulated.
 def reading_roles(
     study: Study, setups: Mapping[str, Setup]
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
@@ -685,12 +667,21 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     prediction = prediction_request(study, machine)
     if prediction is not None:
         check_reach(study, prediction, kinematics)
-    used = used_setups(study, pool, design, plans, mounted)
+    # set-ups of candidates and readings; without both, of reference plans, or all
+    used = {s.setup for s in pool}
+    if pool and design is not None:
+        used |= {s.setup for s in design.retained}
+    if study.readings is not None:
+        recorded = not study.readings.simulate
+        used |= set(study.readings.fit or (mounted if recorded else ()))
+        used |= set(study.readings.predict)
     resolved = ResolvedStudy(
         study=study,
         machine=machine,
         setups=mounted,
-        measurement=measurement_with(used),
+        measurement=measurement_with(
+            used or {name for plan in plans for name in plan.setups} or mounted
+        ),
         measurement_with=measurement_with,
         candidates=pool,
         refusals=refusals,

@@ -298,12 +298,17 @@ def replace_tolerances(
     study: Study, machine: Machine, setups: dict[str, Setup]
 ) -> tuple[Machine, dict[str, Setup]]:
     """Machine and set-ups with the study's tolerances and noise. Raises InputError."""
-    names = _parameter_units(machine, setups)
+    names = {p.name: p.unit for p in machine.parameters}
+    for one in setups.values():
+        names |= {f"{one.owner}.{n.name}": n.unit for n in one.nuisances}
     location = study.location.path("prior", "tolerance")
     prior: dict[str, float] = {}  # later tables win
     for i, table in enumerate(study.prior.tolerance):
         prior |= _matching_tolerances(table, names, location.item(i))
-    fixed = _fixed_parameters(study, names)
+    fixed = None
+    if study.machine.fixed is not None:
+        field = study.location.path("machine", "fixed")
+        fixed = set(matching_names(study.machine.fixed, names, field))
     parameters = [
         dataclasses.replace(p, tolerance=prior.get(p.name, p.tolerance))
         for p in machine.parameters
@@ -340,14 +345,6 @@ def _replace_tolerance(
     return dataclasses.replace(nuisance, tolerance=tolerance)
 
 
-def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str, str]:
-    """SI units of all parameters: the machine's, and `set-up.unknown`."""
-    table = {p.name: p.unit for p in machine.parameters}
-    for setup in setups.values():
-        table |= {f"{setup.owner}.{n.name}": n.unit for n in setup.nuisances}
-    return table
-
-
 def _matching_tolerances(
     table: ToleranceTable, names: Mapping[str, str], location: Location
 ) -> dict[str, float]:
@@ -375,13 +372,6 @@ def check_not_negative(value: float, location: Location) -> None:
         raise location.error(
             "a tolerance is a standard deviation", "give a number >= 0", value
         )
-
-
-def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None:
-    if study.machine.fixed is None:
-        return None
-    location = study.location.path("machine", "fixed")
-    return set(matching_names(study.machine.fixed, names, location))
 
 
 def with_bounds(study: Study, machine: Machine) -> Machine:

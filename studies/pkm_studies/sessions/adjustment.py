@@ -59,7 +59,20 @@ def adjust_folder(
     earlier_files = list(result.written.values())
     written = dict(result.written)
     paths = []
-    texts = {CSV: _csv_text(section), NOMINAL: _nominal_table(result)}
+    # the machine after the adjustment, as [machine.nominal] of a next study
+    adjusted = adjusted_result(result).final_estimate
+    lines = [
+        f"# {result.machine.name} of study {result.study}, as identified, after the",
+        "# adjustments of adjust.csv: replace [machine.nominal] of the next study by this.",
+        "",
+        "[machine.nominal]",
+    ]
+    parameter_names = {str(row["name"]) for row in result.machine.parameters}
+    parameters = {} if adjusted is None else adjusted.parameters
+    for parameter, p in parameters.items():
+        if parameter in parameter_names:
+            lines.append(f"{parameter}_{p.unit} = {p.value:.9g}  # sd {p.sd:.2g}")
+    texts = {CSV: _csv_text(section), NOMINAL: "\n".join(lines) + "\n"}
     for name, text in texts.items():
         path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
@@ -261,23 +274,6 @@ def _csv_text(section: AdjustmentSection) -> str:
         cells += [f"{record.total:.6g}", section.total_unit]
         rows.append([*cells, *[f"{value:.6g}" for value in figures]])
     return csv_text.of_rows(rows)
-
-
-def _nominal_table(result: StudyResult) -> str:
-    """The machine after the adjustment, as [machine.nominal] of a next study."""
-    section = adjusted_result(result).final_estimate
-    lines = [
-        f"# {result.machine.name} of study {result.study}, as identified, after the",
-        "# adjustments of adjust.csv: replace [machine.nominal] of the next study by this.",
-        "",
-        "[machine.nominal]",
-    ]
-    parameter_names = {str(row["name"]) for row in result.machine.parameters}
-    parameters = {} if section is None else section.parameters
-    for name, p in parameters.items():
-        if name in parameter_names:
-            lines.append(f"{name}_{p.unit} = {p.value:.9g}  # sd {p.sd:.2g}")
-    return "\n".join(lines) + "\n"
 
 
 def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:

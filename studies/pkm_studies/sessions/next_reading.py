@@ -164,7 +164,17 @@ class Adviser:
         )
         self.plan: Sequence[int] = ()
         if wanted == AS_PLANNED:
-            self.plan = _planned_candidates(self.base)
+            chosen = select_design(
+                self.base.resolved, Stream.DESIGN.rng(self.base.study.seed)
+            )
+            if chosen is None:
+                raise InputError(
+                    "the study chooses no plan to compare with",
+                    "add [design] with a number of readings, or state accuracies",
+                    field="--wanted",
+                    value=AS_PLANNED,
+                )
+            self.plan = [int(index) for index in chosen.choice.indices]
             wanted = ""
         self.limits = _limits(study, self.base, self.maps.names, wanted)
 
@@ -434,19 +444,6 @@ def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int 
         if rest:
             rest.pop(best)
     return None
-
-
-def _planned_candidates(state: RunState) -> list[int]:
-    """The candidates of the study's plan. Raises InputError where it chooses none."""
-    chosen = select_design(state.resolved, Stream.DESIGN.rng(state.study.seed))
-    if chosen is None:
-        raise InputError(
-            "the study chooses no plan to compare with",
-            "add [design] with a number of readings, or state accuracies",
-            field="--wanted",
-            value=AS_PLANNED,
-        )
-    return [int(index) for index in chosen.choice.indices]
 
 
 def _limits(

@@ -94,19 +94,14 @@ def convert(kind: Any, value: object, location: Location) -> Any:
                     for i, v in enumerate(value)
                 ]
         if origin is dict and isinstance(value, Mapping):
-            return _converted_table(inner, value, location)
+            converted = {}
+            for key, entry in value.items():
+                field = location.key(key)
+                converted[_plain(inner[0], key, field)] = convert(
+                    inner[1], entry, field
+                )
+            return converted
     return _plain(kind, value, location)
-
-
-def _converted_table(
-    kinds: tuple[Any, ...], table: Mapping[Any, object], location: Location
-) -> dict[Any, Any]:
-    """A dict with keys and values of two annotated types."""
-    converted = {}
-    for key, value in table.items():
-        field = location.key(key)
-        converted[_plain(kinds[0], key, field)] = convert(kinds[1], value, field)
-    return converted
 
 
 def tables_of(

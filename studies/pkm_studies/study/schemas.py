@@ -22,7 +22,13 @@ def study() -> Schema:
     schema = _schema(StudyFile, "A planning study")
     definitions = schema["$defs"]
     for table in _subclasses(StudyTable):
-        _inherit(definitions, table)
+        names = [
+            kind.__name__ for kind in table.__mro__ if kind.__name__ in definitions
+        ]
+        for name in names[1:]:
+            for field, inherited in definitions[name]["properties"].items():
+                described = definitions[names[0]]["properties"][field]
+                described.setdefault("description", inherited["description"])
         if table.free_keys is not None and table.__name__ in definitions:
             _open(definitions[table.__name__], table.free_keys)
     return schema
@@ -103,15 +109,6 @@ def _subclasses(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
     for table in base.__subclasses__():
         yield table
         yield from _subclasses(table)
-
-
-def _inherit(definitions: Schema, table: type[StudyTable]) -> None:
-    """Describe fields that a table has from another one as they are described there."""
-    names = [kind.__name__ for kind in table.__mro__ if kind.__name__ in definitions]
-    for name in names[1:]:
-        for field, inherited in definitions[name]["properties"].items():
-            described = definitions[names[0]]["properties"][field]
-            described.setdefault("description", inherited["description"])
 
 
 def _open(schema: Schema, free_keys: str) -> None:
