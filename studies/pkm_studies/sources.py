@@ -1,6 +1,7 @@
 """Loads the readings of a study: its files, or a published collection of data."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from oed import dataset
@@ -38,46 +39,37 @@ def read_sessions(
     sessions: Sequence[Sequence[Path]], measurement: Measurement
 ) -> tuple[Dataset, tuple[int, ...]]:
     """Readings of several sessions, and the restarted clocks. Raises InputError."""
-    try:
+    with _named_errors(sessions[0][0]):
         return dataset.load_sessions(sessions, measurement)
-    except ReadingsError as error:
-        raise _input_error(error) from error
-    except OSError as error:
-        raise _unreadable(error, sessions[0][0]) from error
 
 
 def check_text(path: Path) -> int:
     """The number of rows of a readings file, without a machine. Raises InputError."""
-    try:
+    with _named_errors(path):
         return dataset.count_rows(path)
+
+
+@contextlib.contextmanager
+def _named_errors(path: Path) -> Iterator[None]:
+    """InputError for readings that are none, and for a file that the system withholds."""
+    try:
+        yield
     except ReadingsError as error:
-        raise _input_error(error) from error
+        where = [f"row {error.row}"] if error.row else []
+        where += [f"column {error.column}"] if error.column else []
+        raise InputError(
+            error.problem,
+            error.remedy,
+            file=error.file,
+            field=", ".join(where),
+            value=error.value,
+        ) from error
     except OSError as error:
-        raise _unreadable(error, path) from error
-
-
-def _unreadable(error: OSError, path: Path) -> InputError:
-    """The error for a file that the system does not give."""
-    return InputError(
-        (error.strerror or "it cannot be read").lower(),
-        "check the name, the folder you are in and its permissions",
-        file=str(error.filename or path),
-    )
-
-
-def _input_error(error: ReadingsError) -> InputError:
-    where = []
-    if error.row:
-        where.append(f"row {error.row}")
-    if error.column:
-        where.append(f"column {error.column}")
-    return InputError(
-        error.problem,
-        error.remedy,
-        file=error.file,
-        field=", ".join(where),
-        value=error.value,
-    )
+        raise InputError(
+            (error.strerror or "it cannot be read").lower(),
+            "check the name, the folder you are in and its permissions",
+            file=str(error.filename or path),
+        ) from error
 
 
 def _source_rows(
@@ -108,7 +100,5 @@ def _source_rows(
         raise study.location.key("setup").error(
             "no set-up has readings in the source", suggest("", names, "it has")
         )
-    try:
+    with _named_errors(folder):
         return dataset.from_rows(of_setups, str(folder), measurement)
-    except ReadingsError as error:
-        raise _input_error(error) from error

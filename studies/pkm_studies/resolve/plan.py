@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import planning, units
+from oed.base import Array
 from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location

@@ -256,24 +256,46 @@ class Adviser:
     ) -> Advice:
         theta = measurement.nominal if estimate is None else estimate.theta
         if effects is None:
-            outlook = self._outlook(measurement, theta, estimate)
+            candidates = self.base.resolved.candidates
+            pool = Candidates.build(measurement, candidates, theta, "tolerance")
+            before = self.prior(measurement, pool)
+            now = self._belief(measurement, pool, estimate)
+            outlook = Outlook(pool, 0, before, now, np.zeros(len(self.maps.names)))
         else:
             outlook = self._outlook_with_effects(measurement, series, theta, effects)
+        blocks = outlook.blocks
         if self.plan:
-            blocks = outlook.blocks
-            planned = outlook.before.update_all(blocks, self.plan)
-            self.limits = outlook.accuracy(planned) * (1.0 + ACCURACY_TOLERANCE)
+            reached = outlook.before.update_all(blocks, self.plan)
+            self.limits = outlook.accuracy(reached) * (1.0 + ACCURACY_TOLERANCE)
         count = sum(map(len, series))
-        return self._advice(measurement, outlook, theta, count, skipped)
-
-    def _outlook(
-        self, measurement: Measurement, theta: Array, estimate: Estimate | None
-    ) -> Outlook:
-        resolved = self.base.resolved
-        pool = Candidates.build(measurement, resolved.candidates, theta, "tolerance")
-        before = self.prior(measurement, pool)
-        now = self._belief(measurement, pool, estimate)
-        return Outlook(pool, 0, before, now, np.zeros(len(self.maps.names)))
+        table = self.base.study.design
+        planned = None if table is None else table.size
+        remaining = 1 if planned is None else max(planned - count, 1)
+        within, passing = outlook.pass_probabilities(self.limits)
+        limits = outlook.limits(self.limits if self.plan else passing)
+        use = allowed(outlook.pool, outlook.taken, skipped, self.everything)
+        places = np.flatnonzero(use)
+        plan, more = _plan(outlook.now, blocks[places], remaining, limits)
+        chosen = int(places[plan[0]])
+        after = outlook.now.after(blocks[chosen])
+        of_next, row = outlook.pool.reading(outlook.taken + chosen)
+        return Advice(
+            names=self.maps.names,
+            readings=count,
+            known=outlook.accuracy(outlook.now),
+            after=outlook.accuracy(after),
+            limits=self.limits,
+            within=within,
+            follows_plan=bool(self.plan),
+            candidate=chosen,
+            series=of_next,
+            row=row,
+            expected=measurement.readings([of_next.take(np.array([row]))], theta),
+            more=more,
+            planned=planned,
+            outlook=outlook,
+            skipped=tuple(np.flatnonzero(~use).tolist()),
+        )
 
     def _outlook_with_effects(
         self,
@@ -352,44 +374,6 @@ class Adviser:
         factors = np.zeros((components, poses, columns))
         factors[:, :, : len(scale)] = slopes[:, :, free] * scale
         return Belief.build(covariance, factors)
-
-    def _advice(
-        self,
-        measurement: Measurement,
-        outlook: Outlook,
-        theta: Array,
-        count: int,
-        skipped: Sequence[SkippedPose],
-    ) -> Advice:
-        table = self.base.study.design
-        planned = None if table is None else table.size
-        remaining = 1 if planned is None else max(planned - count, 1)
-        within, passing = outlook.pass_probabilities(self.limits)
-        limits = outlook.limits(self.limits if self.plan else passing)
-        pool, blocks = outlook.pool, outlook.blocks
-        use = allowed(pool, outlook.taken, skipped, self.everything)
-        places = np.flatnonzero(use)
-        plan, more = _plan(outlook.now, blocks[places], remaining, limits)
-        chosen = int(places[plan[0]])
-        after = outlook.now.after(blocks[chosen])
-        series, row = pool.reading(outlook.taken + chosen)
-        return Advice(
-            names=self.maps.names,
-            readings=count,
-            known=outlook.accuracy(outlook.now),
-            after=outlook.accuracy(after),
-            limits=self.limits,
-            within=within,
-            follows_plan=bool(self.plan),
-            candidate=chosen,
-            series=series,
-            row=row,
-            expected=measurement.readings([series.take(np.array([row]))], theta),
-            more=more,
-            planned=planned,
-            outlook=outlook,
-            skipped=tuple(np.flatnonzero(~use).tolist()),
-        )
 
     def advice_sentences(self, advice: Advice) -> list[str]:
         """The advice in lines: what is known, the next reading, when to stop."""

@@ -36,27 +36,26 @@ from pkm_studies.study import Study
 
 # Files of a plan: stages as CSV, commanded poses with their joints as JSON.
 
-HEADER = [
-    "stage",
-    "measurement",
-    "setups",
-    "readings",
-    "identifies",
-    "cost_min",
-    "kappa",
-]
-TIMES = ["begin_min", "end_min", "price", "operator"]  #: columns of plans with times
 
-
-def _stage_cells(stage: result.StageRecord) -> list[object]:
-    return [
-        stage.measurement,
-        " ".join(stage.setups),
-        stage.readings,
-        stage.identifies,
-        f"{stage.cost:.1f}",
-        f"{stage.kappa:.4g}",
-    ]
+def _stage_row(number: int, stage: result.StageRecord) -> dict[str, object]:
+    """A stage in plan.csv, by column; its times where the plan has them."""
+    row: dict[str, object] = {
+        "stage": number,
+        "measurement": stage.measurement,
+        "setups": " ".join(stage.setups),
+        "readings": stage.readings,
+        "identifies": stage.identifies,
+        "cost_min": f"{stage.cost:.1f}",
+        "kappa": f"{stage.kappa:.4g}",
+    }
+    if stage.begin_min is None:
+        return row
+    return row | {
+        "begin_min": f"{stage.begin_min:.1f}",
+        "end_min": f"{stage.end_min or 0.0:.1f}",
+        "price": f"{stage.price:g}",
+        "operator": stage.operator,
+    }
 
 
 def poses_json(plan: PlanOutcome) -> str:
@@ -137,17 +136,8 @@ def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
         readings = dataset.from_series(state.planned, empty, measurement)
         texts["poses.csv"] = dataset.to_csv(readings, comments_of(measurement))
     if result.plan is not None:
-        has_times = any(stage.begin_min is not None for stage in result.plan.stages)
-        rows: list[list[object]] = [[*HEADER, *(TIMES if has_times else [])]]
-        for number, stage in enumerate(result.plan.stages, start=1):
-            begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
-            times = (
-                [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
-                if has_times
-                else []
-            )
-            rows.append([number, *_stage_cells(stage), *times])
-        texts["plan.csv"] = csv_text.of_rows(rows)
+        rows = [_stage_row(k, s) for k, s in enumerate(result.plan.stages, start=1)]
+        texts["plan.csv"] = csv_text.of_tables([*rows[0]], rows)
     if state.plan is not None:
         texts["plan_poses.json"] = poses_json(state.plan)
     return texts

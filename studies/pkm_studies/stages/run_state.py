@@ -211,6 +211,11 @@ class Fitted(Measured):
     mixture: AnswerMixture | None = None
 
     @property
+    def fit(self) -> tuple[Measurement, tuple[Series, ...], Array, Estimate]:
+        """What is fitted, its poses and values, and the estimate."""
+        return self.measurement, self.readings.series, self.readings.y, self.estimate
+
+    @property
     def estimate_section(self) -> EstimateSection:
         """The estimate in the result."""
         return written(self.result.estimate, "estimate")

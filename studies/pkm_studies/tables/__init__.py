@@ -7,22 +7,12 @@ refused. Other rooms take them from here.
 from pkm_studies.tables.base import (
     TO_MEASURE,
     Count,
-    CriterionName,
     NotNegative,
     Positive,
     StudyTable,
     Triple,
 )
-from pkm_studies.tables.design import (
-    ConeTable,
-    DesignTable,
-    HowManyTable,
-    LimitsTable,
-    OrderTable,
-    PolishTable,
-    QuotaTable,
-    RobustTable,
-)
+from pkm_studies.tables.design import DesignTable, LimitsTable, OrderTable, QuotaTable
 from pkm_studies.tables.file import ClaimTable, StudyFile
 from pkm_studies.tables.fit import (
     ForecastTable,

@@ -32,7 +32,6 @@ from oed.result import (
     Marginal,
     MistakeRecord,
     PredictionSection,
-    SpreadRecord,
 )
 from oed.text import join_words, rounded
 from pkm_studies import describe
@@ -54,7 +53,7 @@ from pkm_studies.stages.predict.prediction import (
     accuracy_section,
     add_wanted,
     budget_section,
-    spread_record,
+    spread_records,
 )
 from pkm_studies.stages.run_state import Fitted, Measured
 
@@ -192,6 +191,7 @@ def corrected_section(
 ) -> CorrectedSection:
     """The section, with tables of effects where it is `used`, and warnings of the fit."""
     measurement, estimate = corrected.measurement, corrected.estimate
+    machine = measurement.machine
     truth = state.readings.truth
     if truth is not None:
         truth = np.concatenate([truth, np.full(len(corrected.scales), np.nan)])
@@ -218,7 +218,9 @@ def corrected_section(
         dof=estimate.dof,
         covariance=[row[:size] for row in whole.covariance[:size]],
         prediction=predicted,
-        parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
+        parameters_only=spread_records(machine, accuracy.parameters_only)
+        if accuracy
+        else {},
         posterior=marginals,
         tables=tables,
         not_tabled=dict(not_tabled),
@@ -299,16 +301,6 @@ def _marginals(
             unit = coefficient.unit
             values = draws.pooled[:, k] * coefficient.prior_sd
         yield p.name, marginal(values, draws, k, unit)
-
-
-def _parameters_only(
-    corrected: CorrectedEstimate, accuracy: CorrectedAccuracy
-) -> dict[str, SpreadRecord]:
-    components = corrected.measurement.machine.components
-    return {
-        c.name: spread_record(accuracy.parameters_only[c.name], units.FINE[c.unit])
-        for c in components
-    }
 
 
 def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str]:
@@ -469,26 +461,27 @@ def _add_section(
     """The state with the section `corrected`: estimates, conditions, prediction."""
     study = state.study
     rng = state.rng(Stream.CORRECTED)
+    series, y = corrected.series, corrected.readings.y
+    fit = corrected.measurement, series, y, corrected.estimate
     draws = None
     if study.posterior.enabled and (state.posterior or state.with_effects):
-        draws = _sample(state, corrected, rng)
+        state.progress.stage("posterior with the effects")
+        draws = posterior.sample(
+            *fit, rng, **study.posterior.sampler_options, progress=state.progress.share
+        )
         state = state.add_warnings(*sampling_warnings(draws, study.posterior.ess))
     kinematics = state.measurement.kinematics
     used = StudyWorkspace(study, kinematics)
     command, reference = used.regular, used.reference
     accuracy = None
     if len(command):
-        theta = _approximate(corrected, rng) if draws is None else draws.pooled
-        worth = None if draws is None else float(np.nanmin(draws.ess))
+        if draws is None:
+            theta, worth = posterior.draw_approximation(*fit, rng).theta, None
+        else:
+            theta, worth = draws.pooled, float(np.nanmin(draws.ess))
         plain = state.estimate.theta[: len(kinematics.machine.parameters)]
         accuracy = corrected.predict(command, reference, rng, theta, worth, plain)
-    goodness = goodness_of_delivered(
-        corrected.measurement,
-        corrected.series,
-        corrected.readings.y,
-        corrected.estimate,
-        state.doubtful_values,
-    )
+    goodness = goodness_of_delivered(*fit, state.doubtful_values)
     estimate = dataclasses.replace(
         corrected.estimate, chi2=goodness.chi2, dof=goodness.dof
     )
@@ -576,29 +569,3 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     plain = set(state.estimate_section.warnings)
     stated = [true.get(w, w) for w in state.warnings if w not in plain]
     return state.replace(warnings=tuple(stated))
-
-
-def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
-    """Draws (m, n) of parameters and effects without a posterior."""
-    return posterior.draw_approximation(
-        corrected.measurement,
-        corrected.series,
-        corrected.readings.y,
-        corrected.estimate,
-        rng,
-    ).theta
-
-
-def _sample(
-    state: Fitted, corrected: CorrectedEstimate, rng: np.random.Generator
-) -> posterior.Posterior:
-    state.progress.stage("posterior with the effects")
-    return posterior.sample(
-        corrected.measurement,
-        corrected.series,
-        corrected.readings.y,
-        corrected.estimate,
-        rng,
-        **state.study.posterior.sampler_options,
-        progress=state.progress.share,
-    )

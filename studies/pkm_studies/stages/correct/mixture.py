@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from oed import units
 from oed.accuracy import BudgetModel, Reference, least_error
-from oed.base import Array, Index
+from oed.base import Array
 from oed.corrected import AnswerFits, AnswerMixture, CorrectedEstimate
 from oed.effects import ExpectedColumns, SessionStates
 from oed.gap import untestable
@@ -31,6 +31,7 @@ from pkm_studies.resolve import StudyWorkspace
 from pkm_studies.stages.correct.corrected import NO_HELP, drop_tables
 from pkm_studies.stages.fit.estimate import (
     add_controller,
+    displayed_covariance,
     displayed_states,
     readings_with_covariates,
     states_in_use,
@@ -112,7 +113,9 @@ def mixture_section(
         ],
         rest=mixture.rest,
         parameters=_parameters(measurement, mixture),
-        covariance=_covariance(measurement, mixture),
+        covariance=displayed_covariance(
+            measurement, mixture.covariance, np.diag(mixture.covariance) > 0.0
+        ),
     )
     if not len(use.command):
         machine = measurement.machine
@@ -238,10 +241,6 @@ def add_bound(gap: GapSection) -> GapSection:
     return replace(gap, next=[sentence, *gap.next[1:]])
 
 
-def _free(mixture: AnswerMixture) -> Index:
-    return np.flatnonzero(np.diag(mixture.covariance) > 0.0)
-
-
 def _parameters(
     measurement: Measurement, mixture: AnswerMixture
 ) -> dict[str, MixedParameter]:
@@ -250,7 +249,7 @@ def _parameters(
     variances = np.array([np.diag(a.covariance) for a in mixture.answers])
     within = np.sqrt(mixture.shares @ variances)
     parameters = {}
-    for k in _free(mixture):
+    for k in np.flatnonzero(sd > 0.0):
         parameter = measurement.parameters[k]
         unit = units.display(parameter.unit)
         parameters[parameter.name] = MixedParameter(
@@ -262,14 +261,6 @@ def _parameters(
             unit=unit,
         )
     return parameters
-
-
-def _covariance(measurement: Measurement, mixture: AnswerMixture) -> list[list[float]]:
-    free = _free(mixture)
-    names = [units.display(measurement.parameters[k].unit) for k in free]
-    factor = np.array([units.factor(name) for name in names])
-    covariance = mixture.covariance[np.ix_(free, free)] / np.outer(factor, factor)
-    return [[float(value) for value in row] for row in covariance]
 
 
 def mixture_sentences(section: MixtureSection) -> list[str]:

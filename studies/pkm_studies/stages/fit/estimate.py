@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from oed import checks, posterior, units
-from oed.base import Array
+from oed.base import Array, Mask
 from oed.checks import CheckedSession, Goodness, goodness_of_delivered
 from oed.corrected import EffectReadings
 from oed.dataset import Dataset, ReadingsColumn, temperature_body
@@ -342,7 +342,9 @@ def estimate_section(
         warnings=list(estimate.warnings),
         residuals=[float(v) for v in after],
         residuals_before=[float(v) for v in before],
-        covariance=_covariance(measurement, estimate),
+        covariance=displayed_covariance(
+            measurement, estimate.covariance, estimate.prior_sd > 0.0
+        ),
         commands=_commands(measurement, series),
     )
 
@@ -372,13 +374,16 @@ def _commands(
     return [displayed_command(measurement.machine, c) for c in finite]
 
 
-def _covariance(measurement: Measurement, estimate: Estimate) -> list[list[float]]:
-    """Covariance of the parameters that are not fixed, in their display units."""
-    free = np.flatnonzero(estimate.prior_sd > 0.0)
-    names = [units.display(measurement.parameters[k].unit) for k in free]
+def displayed_covariance(
+    measurement: Measurement, covariance: Array, free: Mask
+) -> list[list[float]]:
+    """Covariance (n, n), SI, of the parameters of a mask (n,), in their display units."""
+    indices = np.flatnonzero(free)
+    names = [units.display(measurement.parameters[k].unit) for k in indices]
     factor = np.array([units.factor(name) for name in names])
-    covariance = estimate.covariance[np.ix_(free, free)] / np.outer(factor, factor)
-    return [[float(value) for value in row] for row in covariance]
+    part = covariance[np.ix_(indices, indices)] / np.outer(factor, factor)
+    rows: list[list[float]] = part.tolist()
+    return rows
 
 
 def _how_well(shrinkage: float) -> str:
@@ -561,54 +566,55 @@ def check_readings(state: Measured) -> Measured:
 # Steps that fit the readings: least squares, then the posterior.
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """Identify the parameters from `start` (n,), SI, or nominal, with tolerance priors."""
-    readings, measurement = state.readings, state.measurement
+    readings, series = state.readings, state.readings.series
     state.progress.stage("identification")
     estimate = _identify(state, start)
     larger = _enlarge_tolerances(state, estimate)
     if larger is not state:
         state = larger
-        measurement = state.measurement
         estimate = _identify(state, start)
-    jumps, count = state.measurement.mode_jumps(state.readings.series, estimate.theta)
+    measurement = state.measurement
+    jumps, count = measurement.mode_jumps(series, estimate.theta)
     if jumps:
         raise IdentificationError(
             f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
             " mode; check the machine's numbers, the poses and the units of the"
             " readings"
         )
-    fitted_as = goodness_of_delivered(
-        measurement, readings.series, readings.y, estimate, state.doubtful_values
+    delivered = goodness_of_delivered(
+        measurement, series, readings.y, estimate, state.doubtful_values
     )
-    estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
+    estimate = dataclasses.replace(estimate, chi2=delivered.chi2, dof=delivered.dof)
     explained = state.checked is not None and state.checked.explained_as_stated
-    state = add_delivered(state, fitted_as)
+    state = add_delivered(state, delivered)
     estimate = add_warnings(
         measurement,
         estimate,
         is_judged=state.checked is not None and state.checked.judges_residuals,
         explained_as_stated=explained,
     )
-    fixed = []
+    held = []
     if readings.truth is None:
-        fixed = contradicted_parameters(
-            measurement, readings.series, readings.y, estimate
-        )
-    section = estimate_section(measurement, readings.series, estimate, readings.truth)
-    sentences = [_held_sentence(one) for one in fixed]
-    section = replace(section, held=fixed, warnings=[*sentences, *section.warnings])
+        held = contradicted_parameters(measurement, series, readings.y, estimate)
+    section = estimate_section(measurement, series, estimate, readings.truth)
+    combinations = section.combinations
     if state.identifiability is not None:
         verdict = state.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
-        section = replace(section, combinations=combinations)
-    curves = run_curves.fitted_curves(measurement, readings.series, estimate)
-    runs = predict_runs(measurement, readings.series, estimate)
-    warnings = section.warnings
-    goodness = with_noise(state.goodness, estimate, state.measurement.setups)
+    goodness = with_noise(state.goodness, estimate, measurement.setups)
     if state.study.noise.assumed and not goodness.noise:
         goodness = _add_assumption(goodness, state, estimate)
+    warnings = [*map(_held_sentence, held), *section.warnings]
+    runs = predict_runs(measurement, series, estimate)
     if runs is not None:
         warnings, goodness = [*warnings, *runs.warnings], runs.add_to(goodness)
-    section = replace(section, runs=curves, warnings=warnings)
+    section = replace(
+        section,
+        held=held,
+        combinations=combinations,
+        runs=run_curves.fitted_curves(measurement, series, estimate),
+        warnings=warnings,
+    )
     fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.add_sections(estimate=section, goodness=goodness)
     return fitted.add_warnings(*warnings)
@@ -661,10 +667,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         return state.withhold_section("posterior", "[posterior] enabled is false")
     state.progress.stage("posterior")
     draws = posterior.sample(
-        state.measurement,
-        state.readings.series,
-        state.readings.y,
-        state.estimate,
+        *state.fit,
         state.rng(Stream.SAMPLER),
         **table.sampler_options,
         progress=state.progress.share,
@@ -676,12 +679,7 @@ def sample_posterior(state: Fitted) -> Fitted:
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)
     checks = posterior.predictive_checks(
-        state.measurement,
-        state.readings.series,
-        state.readings.y,
-        state.estimate,
-        draws,
-        state.rng(Stream.PREDICTIVE),
+        *state.fit, draws, state.rng(Stream.PREDICTIVE)
     )
     section = replace(section, checks=dict(checks))
     state = state.replace(posterior=draws).add_sections(posterior=section)

@@ -311,9 +311,11 @@ def run_curves(
                     at=_rounded(along[order], DIGITS),
                     measured=_displayed(curves.measured, rows, unit),
                     predicted=_displayed(curves.predicted, rows, unit),
-                    half_widths=_displayed(HALF_WIDTH * curves.sd, rows, unit),
+                    half_widths=_displayed(curves.sd, rows, unit, HALF_WIDTH),
                     compensated=_displayed(curves.compensated, rows, unit),
-                    compensated_half_widths=_half_widths(curves, rows, unit),
+                    compensated_half_widths=_displayed(
+                        curves.compensated_sd, rows, unit, HALF_WIDTH
+                    ),
                 )
         first += len(s) * len(channels)
 
@@ -327,13 +329,9 @@ def _run_phase(measurement: Measurement, series: Series) -> tuple[Array, Array]:
     return tips, phase_along_runs(tips, series.run, np.empty(0, dtype=np.intp))
 
 
-def _half_widths(curves: ReadingCurves, rows: Index, unit: str) -> list[float]:
-    if curves.compensated_sd is None:
-        return []
-    return _displayed(HALF_WIDTH * curves.compensated_sd, rows, unit)
-
-
-def _displayed(values: Array | None, rows: Index, unit: str) -> list[float]:
+def _displayed(
+    values: Array | None, rows: Index, unit: str, factor: float = 1.0
+) -> list[float]:
     if values is None:
         return []
-    return _rounded(units.from_si(values[rows], unit), DIGITS)
+    return _rounded(units.from_si(factor * values[rows], unit), DIGITS)

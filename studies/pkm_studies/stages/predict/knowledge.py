@@ -100,11 +100,16 @@ class ActingEffects:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Accuracy:
-    """A prediction, the maps that it rests on, and its mean variances (k,), SI."""
+    """A prediction, and the maps that it rests on."""
 
     prediction: Prediction
     maps: ErrorMaps
-    variance: Array
+
+    @property
+    def variance(self) -> Array:
+        """Its mean variances (k,), SI."""
+        spreads = self.prediction.fully_corrected
+        return np.array([spreads[name].rms ** 2 for name in self.prediction.names])
 
 
 def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnowledge:
@@ -187,9 +192,7 @@ def accuracy(
                 reference=reference,
                 variance=variances.get(reference),
             )
-        spreads = predicted.fully_corrected
-        variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
-        result[reference] = Accuracy(predicted, maps, variance)
+        result[reference] = Accuracy(predicted, maps)
     return result
 
 

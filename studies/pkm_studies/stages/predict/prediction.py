@@ -87,8 +87,8 @@ def accuracy_section(
     poses = kinematics.inverse(prediction.command)[0]
     _, tips, _ = kinematics.frames(poses, np.zeros(3))
     for i, command in enumerate(prediction.command):
-        before = _component_values(prediction, prediction.sd_before[i], fine)
-        after = _component_values(prediction, prediction.sd_after[i], fine)
+        before = _fine_values(prediction.names, prediction.sd_before[i], fine)
+        after = _fine_values(prediction.names, prediction.sd_after[i], fine)
         tip = [float(v) for v in tips[i]]
         points.append(
             MapPoint(describe.displayed_command(machine, command), before, after, tip)
@@ -111,17 +111,20 @@ def component_accuracies(
     machine: Machine, prediction: Prediction, of_sources: Mapping[str, dict[str, float]]
 ) -> dict[str, ComponentAccuracy]:
     """A prediction by component in its fine unit, with shares of sources."""
-    records = {}
-    for component in machine.components:
-        name, fine = component.name, units.FINE[component.unit]
-        records[name] = ComponentAccuracy(
-            compensatable=component.compensatable,
-            before=spread_record(prediction.before[name], fine),
-            after=spread_record(prediction.after[name], fine),
-            known=spread_record(prediction.fully_corrected[name], fine),
-            budget=of_sources.get(name, {}),
+    before, after, known = (
+        spread_records(machine, spreads)
+        for spreads in (prediction.before, prediction.after, prediction.fully_corrected)
+    )
+    return {
+        c.name: ComponentAccuracy(
+            compensatable=c.compensatable,
+            before=before[c.name],
+            after=after[c.name],
+            known=known[c.name],
+            budget=of_sources.get(c.name, {}),
         )
-    return records
+        for c in machine.components
+    }
 
 
 def add_wanted(
@@ -132,22 +135,14 @@ def add_wanted(
     return replace(section, wanted=fine)
 
 
-def component_records(
-    machine: Machine, prediction: Prediction
+def spread_records(
+    machine: Machine, spreads: Mapping[str, Spread]
 ) -> dict[str, SpreadRecord]:
-    """Spread after compensation by component, in its fine unit."""
+    """Spreads by component, SI, in its fine unit."""
     return {
-        c.name: spread_record(prediction.after[c.name], units.FINE[c.unit])
+        c.name: spread_record(spreads[c.name], units.FINE[c.unit])
         for c in machine.components
     }
-
-
-def _component_values(
-    prediction: Prediction, values: Array, fine: Mapping[str, str]
-) -> dict[str, float]:
-    """Values (k,), SI, by component, in its fine unit."""
-    pairs = zip(prediction.names, values, strict=True)
-    return {name: units.number(value, fine[name]) for name, value in pairs}
 
 
 def spread_record(spread: Spread, unit: str) -> SpreadRecord:
@@ -190,7 +185,7 @@ def budget_section(
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     driven = {c.name: fine[c.name] for c in machine.components if c.compensatable}
     lines = [_line(budget, k, fine) for k in range(len(budget.lines))]
-    predicted = _displayed_shares(budget.names, np.sqrt(budget.variance), fine)
+    predicted = _fine_values(budget.names, np.sqrt(budget.variance), fine)
     after = np.array([prediction.after[name].rms for name in budget.names])
     effects = [] if expected is None else expected.effects
     unmodelled = []
@@ -208,10 +203,10 @@ def budget_section(
             expected=one.size_text,
             remedy=one.effect.remedy,
             not_testable=one.not_testable,
-            **{n: _displayed_shares(budget.names, v, fine) for n, v in sizes.items()},
+            **{n: _fine_values(budget.names, v, fine) for n, v in sizes.items()},
         )
         unmodelled.append(line)
-    geometry = _displayed_shares(budget.names, after, fine)
+    geometry = _fine_values(budget.names, after, fine)
     unmodelled.sort(key=lambda line: error_ratio(line.without, geometry, driven))
     return BudgetSection(
         predicted=dict(predicted),
@@ -223,9 +218,10 @@ def budget_section(
     )
 
 
-def _displayed_shares(
+def _fine_values(
     names: Sequence[str], values: Array, fine: Mapping[str, str]
 ) -> dict[str, float]:
+    """Values (k,), SI, by component, in its fine unit."""
     pairs = zip(names, values, strict=True)
     return {name: units.number(value, fine[name]) for name, value in pairs}
 
@@ -236,14 +232,14 @@ def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
     np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
     size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))
     without, halved = (
-        None if values is None else _displayed_shares(names, values, fine)
+        None if values is None else _fine_values(names, values, fine)
         for values in (line.without, line.halved)
     )
     return BudgetLine(
         source=line.source,
         kind=line.kind,
         share=dict(zip(names, share.tolist(), strict=True)),
-        size=_displayed_shares(names, size, fine),
+        size=_fine_values(names, size, fine),
         without=without,
         halved=halved,
     )
@@ -568,7 +564,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     section = replace(
         section,
         references={
-            reference: component_records(machine, result.prediction)
+            reference: spread_records(machine, result.prediction.after)
             for reference, result in by_reference.items()
         },
         tools=_tools(state, table, parameter_knowledge, command),
@@ -631,13 +627,7 @@ def _draws(state: Fitted) -> ApproximateDraws:
         theta, laws = sampled.pooled, sampled.noise_law
         laws = laws.reshape(len(theta), laws.shape[2])
         return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
-    return posterior.draw_approximation(
-        state.measurement,
-        state.readings.series,
-        state.readings.y,
-        state.estimate,
-        state.rng(Stream.LAPLACE),
-    )
+    return posterior.draw_approximation(*state.fit, state.rng(Stream.LAPLACE))
 
 
 def _section(
@@ -693,7 +683,7 @@ def _tools(
             parameter_knowledge, moved, [table.reference], rng, tool
         )
         predicted = result[table.reference].prediction
-        spreads = component_records(machine, predicted)
+        spreads = spread_records(machine, predicted.after)
         records.append(ToolAccuracy(units.number(tool[2], unit), unit, spreads))
     return records
 
