@@ -11,7 +11,6 @@ from oed.design import CRITERIA, Criterion
 from oed.identifiability import Assessment, Scaling, explain, prior_information
 from oed.measurement import Measurement, Series
 from oed.result import (
-    AllowedEffects,
     DesignSection,
     IdentifiabilitySection,
     PlannedReading,
@@ -59,10 +58,15 @@ def plan_scores(
         log_phis.append(judge.score(name, for_comparison, series)[0])
         scores.append(_score(plan, judge, value))
     reference = scores[1].predicted if len(scores) > 1 else {}
-    return [
-        _compared(score, scores[0], log_phi - log_phis[0], judge, reference)
-        for score, log_phi in zip(scores, log_phis, strict=True)
-    ]
+    # ratios of eigenvalues do not grow with the number of readings
+    grows = all(form.concave for form in _forms(judge)) and not judge.table.prior
+    compared = []
+    for score, log_phi in zip(scores, log_phis, strict=True):
+        per_reading = scores[0].n / score.n if grows else 1.0
+        efficiency = float(np.exp(log_phi - log_phis[0])) * per_reading
+        gain = improvement_factors(reference, score.predicted) if reference else {}
+        compared.append(replace(score, efficiency=efficiency, gain=gain))
+    return compared
 
 
 def _comparable(
@@ -91,25 +95,20 @@ def _judging(
     """
     if not judge.table.prior or any(form.spectral for form in _forms(judge)):
         return measurement, measurement
+
+    def with_setups(names: list[str]) -> Measurement:
+        """The measurement with further set-ups; its own stay as they are, polished or not."""
+        setups = {**resolved.measurement_with(names).setups, **measurement.setups}
+        return measurement.with_setups(list(setups.values()))
+
     candidates = [*resolved.measurement.setups, *measurement.setups]
     every = [n for plan in resolved.reference_plans for n in plan.setups]
-    return (
-        _add_setups(resolved, measurement, candidates),
-        _add_setups(resolved, measurement, [*candidates, *every]),
-    )
+    return with_setups(candidates), with_setups([*candidates, *every])
 
 
 def _forms(judge: StudyCriteria) -> list[Criterion]:
     """The study's criteria, to ask for their properties."""
     return [CRITERIA[name].properties for name in judge.table.criteria]
-
-
-def _add_setups(
-    resolved: ResolvedStudy, measurement: Measurement, names: list[str]
-) -> Measurement:
-    """The measurement with further set-ups; its own stay as they are, polished or not."""
-    setups = {**resolved.measurement_with(names).setups, **measurement.setups}
-    return measurement.with_setups(list(setups.values()))
 
 
 def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
@@ -136,21 +135,6 @@ def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
     )
 
 
-def _compared(
-    score: PlanScore,
-    best: PlanScore,
-    log_phi: float,
-    judge: StudyCriteria,
-    reference: Mapping[str, float],
-) -> PlanScore:
-    """With its efficiency against the chosen plan, and its gain over a reference."""
-    # ratios of eigenvalues do not grow with the number of readings
-    grows = all(form.concave for form in _forms(judge))
-    per_reading = best.n / score.n if grows and not judge.table.prior else 1.0
-    gain = improvement_factors(reference, score.predicted) if reference else {}
-    return replace(score, efficiency=float(np.exp(log_phi)) * per_reading, gain=gain)
-
-
 #: slack of the bound (log of an efficiency) from which it is worth saying
 MIN_STATED_SLACK = 0.01
 
@@ -161,7 +145,12 @@ def design_section(
     """The chosen plan with its certificate, scored with the reference plans."""
     table, choice, polish = chosen.criteria.table, chosen.choice, chosen.polish
     scores = plan_scores(resolved, chosen, identifiability)
-    shared = shared_columns(resolved, chosen)
+    # columns that stand for the common errors of runs, not for parameters
+    shared = max(choice.columns - int(resolved.measurement.free.sum()), 0)
+    allowed = chosen.effects
+    if allowed is not None:
+        recording = select.recording(chosen.criteria, chosen.measurement, chosen.series)
+        allowed = replace(allowed, recording=recording)
     moved = polish is not None and polish.after != polish.before
     value = choice.value
     if polish is not None and moved:
@@ -196,22 +185,8 @@ def design_section(
         robust=chosen.robust,
         how_many=chosen.how_many,
         relaxed=chosen.relaxed,
-        effects=_effects(chosen),
+        effects=allowed,
     )
-
-
-def _effects(chosen: ChosenDesign) -> AllowedEffects | None:
-    allowed = chosen.effects
-    if allowed is None:
-        return None
-    recording = select.recording(chosen.criteria, chosen.measurement, chosen.series)
-    return replace(allowed, recording=recording)
-
-
-def shared_columns(resolved: ResolvedStudy, chosen: ChosenDesign) -> int:
-    """Columns that stand for the common errors of runs, not for parameters."""
-    parameters = int(resolved.measurement.free.sum())
-    return max(chosen.choice.columns - parameters, 0)
 
 
 def planned_readings(
@@ -437,14 +412,7 @@ def plan_measurements(
 ) -> tuple[RunState, PlanOutcome]:
     """The state with the requested plan, after an `earlier` session; and the plan."""
     state.progress.stage("plan")
-    outcome = compute_plan(
-        state.resolved,
-        request,
-        Stream.PLAN.key(state.seed),
-        state.rng(Stream.CAMPAIGN),
-        state.progress,
-        earlier,
-    )
+    outcome = compute_plan(state, request, earlier)
     state = state.replace(plan=outcome).add_sections(plan=outcome.section)
     planned = tuple(series for stage in outcome.scheduled for series in stage)
     state = state.replace(planned=planned)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
@@ -15,12 +16,15 @@ from oed.effects import PlannedEffects
 from oed.identifiability import Assessment, combination_text
 from oed.measurement import Measurement, Series
 from oed.planning import Option, PlanSearchResult, PlanStage, StagePlan
-from pkm_studies.base import InputError, Progress
-from pkm_studies.resolve import PlanRequest, ResolvedStudy
+from pkm_studies.base import InputError, Progress, Stream
+from pkm_studies.resolve import PlanRequest
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import ANY_LOSS, EarlierSession, PlanTask, build_task
 from pkm_studies.stages.recording import PlanToRecord, recording_section
 from pkm_studies.tables import DesignTable
+
+if TYPE_CHECKING:
+    from pkm_studies.stages.run_state import RunState
 
 # Targets out of reach: how far the best plan misses them, what would reach them.
 
@@ -370,26 +374,22 @@ NO_GAIN = 5e-4  #: relative gain below which a further measurement does not help
 
 
 def compute_plan(
-    resolved: ResolvedStudy,
-    request: PlanRequest,
-    seed: Sequence[int],
-    machines: np.random.Generator,
-    progress: Progress,
-    earlier: EarlierSession | None,
+    state: RunState, request: PlanRequest, earlier: EarlierSession | None
 ) -> PlanOutcome:
-    """The plan that the study requests.
+    """The plan that a study requests.
 
-    seed      of the study and the plan stage
-    machines  draws virtual machines
-    earlier   session before; `resolved` is then about the machine as identified there
+    earlier   session before; the state is then about the machine as identified there
 
     Raises InputError where the time pays for no measurement.
     """
-    task = build_task(resolved, request, seed, earlier)
+    progress, seed = state.progress, Stream.PLAN.key(state.seed)
+    task = build_task(state.resolved, request, seed, earlier)
     search = _search(task, progress)
     best = drop_small_stages(task, search)
     outcome = build_outcome(task, search, best)
-    stages = add_realisations(task, best, outcome.section.stages, machines, progress)
+    stages = outcome.section.stages
+    if task.table.virtual_machines:
+        stages = add_realisations(task, best, stages, state)
     sequences = task.request.compare
     section = replace(
         outcome.section,
@@ -423,15 +423,10 @@ def _search(task: PlanTask, progress: Progress) -> PlanSearchResult:
 
 # -- virtual machines through the plan -------------------------------------------------
 def add_realisations(
-    task: PlanTask,
-    plan: StagePlan,
-    records: list[result.StageRecord],
-    rng: np.random.Generator,
-    progress: Progress,
+    task: PlanTask, plan: StagePlan, records: list[result.StageRecord], state: RunState
 ) -> list[result.StageRecord]:
     """The records of a plan's stages, with the accuracy that virtual machines reach."""
-    if not task.table.virtual_machines:
-        return records
+    progress, rng = state.progress, state.rng(Stream.CAMPAIGN)
     progress.stage("virtual machines through the plan")
     machines = task.realise(plan, task.table.virtual_machines, rng, progress.share)
     realised = []

@@ -45,6 +45,7 @@ from oed.result import (
 from oed.units import MM
 from pkm_studies import describe
 from pkm_studies.base import Stream
+from pkm_studies.resolve import PredictionRequest
 from pkm_studies.results import advice_on, error_ratio
 from pkm_studies.stages.fit.estimate import session_states
 from pkm_studies.stages.gap.diagnosis import empty_readings
@@ -57,21 +58,9 @@ from pkm_studies.stages.run_state import (
     Scheduled,
     ScheduledT,
 )
-from pkm_studies.tables import PredictionTable
 
 
 # Reports the predicted accuracy over the workspace: the section `prediction`.
-def add_realised(
-    section: PredictionSection, realised: Mapping[str, Spread] | None
-) -> PredictionSection:
-    """The section with the accuracy of virtual machines, by component, if any."""
-    if realised is None:
-        return section
-    spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
-    shares = {n: s.rms / section.components[n].after.rms for n, s in spreads.items()}
-    return replace(section, realised=spreads, realised_share=shares)
-
-
 def accuracy_section(
     kinematics: Kinematics,
     prediction: Prediction,
@@ -553,7 +542,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         )
         return state.add_warnings(reason).withhold_section("prediction", reason)
     state.progress.stage("prediction")
-    realised = _realised(state, table, command)
+    realised = _realised(state, request)
     rng = state.rng(Stream.PREDICT)
     parameter_knowledge = _knowledge(state)
     others = [r for r in get_args(Reference) if r != table.reference]
@@ -567,20 +556,25 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
             reference: spread_records(machine, result.prediction.after)
             for reference, result in by_reference.items()
         },
-        tools=_tools(state, table, parameter_knowledge, command),
+        tools=_tools(state, request, parameter_knowledge),
     )
     section = add_wanted(section, state.resolved.wanted_accuracy)
-    return state.add_sections(prediction=add_realised(section, realised))
+    if realised is not None:
+        spreads = spread_records(machine, realised)
+        after = {n: c.after.rms for n, c in section.components.items()}
+        shares = {n: spread.rms / after[n] for n, spread in spreads.items()}
+        section = replace(section, realised=spreads, realised_share=shares)
+    return state.add_sections(prediction=section)
 
 
 def _realised(
-    state: Scheduled, table: PredictionTable, command: Array
+    state: Scheduled, request: PredictionRequest
 ) -> Mapping[str, Spread] | None:
     """True pose errors after compensation, by component, of virtual machines.
 
-    At commands (n, n_dof). None where the study asks for no machine, or is measured.
+    None where the study asks for no machine, or is measured.
     """
-    count = table.virtual_machines
+    count = request.table.virtual_machines
     if not count or (isinstance(state, Fitted) and state.readings.truth is None):
         return None
     measurement, series = state.measurement, state.readings.series
@@ -591,15 +585,14 @@ def _realised(
         machines = min(MACHINES_AT_ONCE, count - start)
         truth, y = _draw_machines(measurement, series, machines, rng)
         fitted = fit_machines(measurement, series, y, stages=stages)
-        errors.append(
-            driven_errors(
-                measurement.kinematics,
-                command,
-                truth[:, :keep],
-                table.reference,
-                believed=fitted[:, :keep],
-            )
+        driven = driven_errors(
+            measurement.kinematics,
+            request.command,
+            truth[:, :keep],
+            request.table.reference,
+            believed=fitted[:, :keep],
         )
+        errors.append(driven)
         state.progress.share((start + machines) / count)
     every = np.concatenate(errors)
     return {
@@ -668,21 +661,19 @@ def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | Non
 
 def _tools(
     state: Scheduled,
-    table: PredictionTable,
+    request: PredictionRequest,
     parameter_knowledge: ParameterKnowledge,
-    command: Array,
 ) -> list[ToolAccuracy]:
     """Accuracy after compensation at tools of the lengths that the study names."""
+    reference = request.table.reference
     machine, unit = state.measurement.machine, units.display("m")
     rng = state.rng(Stream.TOOLS)
     records = []
-    for length in table.tools:
+    for length in request.table.tools:
         tool = np.array([0.0, 0.0, length * MM])
-        moved = machine.with_tool(command, tool)
-        result = knowledge.accuracy(
-            parameter_knowledge, moved, [table.reference], rng, tool
-        )
-        predicted = result[table.reference].prediction
+        moved = machine.with_tool(request.command, tool)
+        result = knowledge.accuracy(parameter_knowledge, moved, [reference], rng, tool)
+        predicted = result[reference].prediction
         spreads = spread_records(machine, predicted.after)
         records.append(ToolAccuracy(units.number(tool[2], unit), unit, spreads))
     return records
