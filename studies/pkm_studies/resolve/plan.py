@@ -57,30 +57,17 @@ class PlanRequest:
 def plan_request(
     study: Study,
     measurement_with: MeasurementWith,
-    setups: Iterable[str],
-    prediction: PredictionRequest | None,
-) -> PlanRequest | None:
-    """What [plan] requests; None without measurements. Otherwise as `request_of_table`."""
-    table = study.plan
-    if table is None or not table.measurement:
-        return None
-    return request_of_table(table, study, measurement_with, setups, prediction)
-
-
-def request_of_table(
-    table: PlanTable,
-    study: Study,
-    measurement_with: MeasurementWith,
-    setups: Iterable[str],
     prediction: PredictionRequest | None,
     done: Iterable[str] = (),
-) -> PlanRequest:
-    """What the table [plan] of a study requests. Raises InputError.
+) -> PlanRequest | None:
+    """What [plan] requests; None without measurements. Raises InputError.
 
-    setups      names of all set-ups of the study
     prediction  what [prediction] requests
     done        set-ups whose readings are taken: their measurements are left out
     """
+    table = study.plan
+    if table is None or not table.measurement:
+        return None
     location = study.location.key("plan")
     available = _budget_min(table, location)
     if prediction is None:
@@ -88,7 +75,7 @@ def request_of_table(
         raise location.key("measurement").error(
             problem, "add a [prediction] table: reference and coordinates"
         )
-    _check_names(table, location, list(setups))
+    _check_names(table, location, [setup.name for setup in study.setup])
     _check_sequences(table, location)
     finished = set(done)
     open_tables = {

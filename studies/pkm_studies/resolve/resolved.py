@@ -56,7 +56,7 @@ from pkm_studies.resolve.machine import (
     reach_problem,
     study_kinematics,
 )
-from pkm_studies.resolve.plan import PlanRequest, plan_request, request_of_table
+from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
     check_reach,
@@ -72,7 +72,7 @@ from pkm_studies.resolve.tolerances import (
 )
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
-from pkm_studies.tables import PlanTable, SetupTable
+from pkm_studies.tables import SetupTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -536,24 +536,18 @@ class ResolvedStudy:
         named = request.named_effects(names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
 
-    def resume_plan(
-        self, table: PlanTable, machine: Machine, done: Iterable[str]
-    ) -> tuple[Self, PlanRequest]:
-        """The study about the identified machine, and [plan] without set-ups that are `done`."""
+    def resume_plan(self, machine: Machine, done: Iterable[str]) -> Self:
+        """The study about the identified machine, its [plan] without set-ups that are `done`."""
         controller = self.measurement.kinematics.controller
         kinematics = Kinematics(machine).with_controller(controller)
         measurement_with = measurement_factory(kinematics, self.setups)
-        plan = request_of_table(
-            table, self.study, measurement_with, self.setups, self.prediction, done
-        )
-        changed = dataclasses.replace(
+        return dataclasses.replace(
             self,
             machine=machine,
             measurement_with=measurement_with,
             measurement=measurement_with(self.measurement.setups),
-            plan=plan,
+            plan=plan_request(self.study, measurement_with, self.prediction, done),
         )
-        return changed, plan
 
     def check_states(self, covariates: pd.DataFrame) -> None:
         """Raises InputError for a state in use that no reading was recorded at."""
@@ -686,7 +680,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         candidates=pool,
         refusals=refusals,
         design=design,
-        plan=plan_request(study, measurement_with, mounted, prediction),
+        plan=plan_request(study, measurement_with, prediction),
         reference_plans=plans,
         kappa_circles=tuple(kappa_circles),
         true_parameters=true_parameters(study, everything),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -38,9 +39,9 @@ if TYPE_CHECKING:
 
 
 # A design in sentences: what its readings reach, and on a machine with effects.
-def gain_sentences(section: DesignSection | None) -> list[str]:
+def gain_sentences(section: DesignSection) -> list[str]:
     """How much more accurate the machine becomes than with the first reference plan."""
-    if section is None or len(section.plans) < 2 or not section.plans[0].gain:
+    if len(section.plans) < 2 or not section.plans[0].gain:
         return []
     gains = section.plans[0].gain.values()
     reference = section.plans[1]
@@ -51,13 +52,11 @@ def gain_sentences(section: DesignSection | None) -> list[str]:
     ]
 
 
-def design_sentences(section: DesignSection | None) -> list[str]:
+def design_sentences(section: DesignSection) -> list[str]:
     """What the readings reach by the criterion, beside the reference plans.
 
     Reference plans are judged without effects, as the chosen one is beside them.
     """
-    if section is None:
-        return []
     criterion = section.criterion
     reached = _value(criterion, section.value)
     if section.effects is not None:
@@ -97,9 +96,9 @@ def _proof(section: DesignSection) -> str:
     return f" (certified to {share:.1f} % of the best possible)"
 
 
-def effects_sentences(section: DesignSection | None) -> list[str]:
+def effects_sentences(section: DesignSection) -> list[str]:
     """What the plan reaches on a machine with effects, beside the plan without them."""
-    allowed = None if section is None else section.effects
+    allowed = section.effects
     if allowed is None:
         return []
     parts = []
@@ -140,39 +139,47 @@ def sentences(
     Readings that are `recorded` have no design. `machine`: what earlier sessions give.
     """
     chosen = None if recorded else result.design
-    separation = []
-    if result.gap_before is not None and result.gap_before.chosen is not None:
-        separation = result.gap_before.words[:1]
-    ranked = [
-        *plan_sentences(result.plan),
-        *separation,
-        *_corrected(result.corrected),
-        *([] if result.corrected is not None else _accuracy(result.judged_prediction)),
-        *_wanted(result),
-        *_unmodelled(result.prediction),
-        *forecast.figures(result.forecast),
-        *_rank(result.identifiability),
-        *effects_sentences(chosen),
-        *gain_sentences(chosen),
-        *design_sentences(chosen),
-        *_fit(result.estimate, result.goodness),
-        *_posterior(result.posterior),
-    ]
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     rounds = [] if machine is None else earlier_sentences(machine)
     held_out = [f"{section.words}." for section in result.held_out]
+    identified = result.identifiability
     return [
         *alarms,
         *findings,
         *noise_sentences(result),
         *rounds,
         *held_out,
-        *ranked[:MAX_SENTENCES],
-        *_indices(result.identifiability),
+        *itertools.islice(_ranked(result, chosen), MAX_SENTENCES),
+        *([] if identified is None else CRITERIA.sentences(identified.indices)),
         *recording_sentences(result.plan, chosen),
     ]
+
+
+def _ranked(result: StudyResult, design: DesignSection | None) -> Iterator[str]:
+    """Sentences about the sections that are there, the most useful first."""
+    prediction, before = result.judged_prediction, result.gap_before
+    yield from plan_sentences(result.plan)
+    if before is not None and before.chosen is not None:
+        yield from before.words[:1]
+    if result.corrected is not None:
+        yield from _corrected(result.corrected)
+    elif prediction is not None:
+        yield _accuracy(prediction)
+    yield from _wanted(result)
+    yield from _unmodelled(result.prediction)
+    yield from forecast.figures(result.forecast)
+    if result.identifiability is not None:
+        yield _rank(result.identifiability)
+    if design is not None:
+        yield from effects_sentences(design)
+        yield from gain_sentences(design)
+        yield from design_sentences(design)
+    if result.estimate is not None:
+        yield _fit(result.estimate, result.goodness)
+    if result.posterior is not None:
+        yield _posterior(result.posterior)
 
 
 def noise_sentences(result: StudyResult) -> list[str]:
@@ -202,9 +209,9 @@ def earlier_sentences(machine: MachineInfo) -> list[str]:
     return phrases
 
 
-def _corrected(section: CorrectedSection | None) -> list[str]:
+def _corrected(section: CorrectedSection) -> list[str]:
     """What compensation of parameters and effects reaches, and on which conditions."""
-    if section is None or section.prediction is None:
+    if section.prediction is None:
         return []
     effects = join_words([plain_name(name) for name in section.constants])
     reference = REFERENCES[section.prediction.reference]
@@ -215,12 +222,10 @@ def _corrected(section: CorrectedSection | None) -> list[str]:
     ]
 
 
-def _accuracy(section: PredictionSection | None) -> list[str]:
-    if section is None:
-        return []
+def _accuracy(section: PredictionSection) -> str:
     error = f"the rms error over the workspace, {REFERENCES[section.reference]}"
     others = _undriven(section)
-    return [f"Compensation is predicted to {_changes(section, error)}.{others}"]
+    return f"Compensation is predicted to {_changes(section, error)}.{others}"
 
 
 def _changes(section: PredictionSection, error: str) -> str:
@@ -326,59 +331,43 @@ def unmodelled_sentence(
     )
 
 
-def _rank(section: IdentifiabilitySection | None) -> list[str]:
-    if section is None:
-        return []
+def _rank(section: IdentifiabilitySection) -> str:
     verdict = f"The readings determine {section.rank} of {section.n} parameters"
     lost = section.n - section.rank
     if not lost:
-        return [f"{verdict}."]
+        return f"{verdict}."
     directions = "1 direction stays" if lost == 1 else f"{lost} directions stay"
-    return [
+    return (
         f"{verdict}; {directions} undetermined. The report names readings that would"
         " determine them."
-    ]
+    )
 
 
-def lost_directions(section: IdentifiabilitySection | None) -> list[str]:
-    """How much the readings determine, where that is not all."""
-    return _rank(section) if section is not None and section.rank < section.n else []
-
-
-def _indices(section: IdentifiabilitySection | None) -> list[str]:
-    return [] if section is None else CRITERIA.sentences(section.indices)
-
-
-def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> list[str]:
-    if section is None:
-        return []
+def _fit(section: EstimateSection, checked: GoodnessSection | None) -> str:
     changes = [
         _change(channel, section.rms_before[channel], after, section.units[channel])
         for channel, after in section.rms_after.items()
     ]
-    return [
-        f"The fit of {section.readings} readings{_aside(checked)} changes their rms residual:"
+    aside = ""
+    if checked is not None and checked.outliers:
+        aside = f",{checked.fit_words},"
+    return (
+        f"The fit of {section.readings} readings{aside} changes their rms residual:"
         f" {'; '.join(changes)}."
-    ]
+    )
 
 
-def _aside(checked: GoodnessSection | None) -> str:
-    return f",{checked.fit_words}," if checked is not None and checked.outliers else ""
-
-
-def _posterior(section: PosteriorSection | None) -> list[str]:
-    if section is None:
-        return []
+def _posterior(section: PosteriorSection) -> str:
     marginals = section.marginals.values()
     ess = min((m.ess for m in marginals if m.ess is not None), default=math.nan)
     size = f"an effective sample size of at least {float(f'{ess:.2g}'):.0f}"
     if section.sampler == PosteriorSection.IMPORTANCE:
-        return [f"The posterior has {section.draws} draws by weight, {size}."]
+        return f"The posterior has {section.draws} draws by weight, {size}."
     rhat = max((m.rhat for m in marginals if m.rhat is not None), default=math.nan)
-    return [
+    return (
         f"The posterior has {section.draws} draws, {size} and an R-hat of at most"
         f" {rhat:.3f}."
-    ]
+    )
 
 
 def predicted_accuracy(section: PredictionSection | None) -> dict[str, float]:
@@ -454,11 +443,16 @@ def lines(
     of_files = [w for w in page.warnings if result_folder.CHANGED in w]
     of_files += result_folder.changed_files(folder)
     others = [w for w in page.warnings if w not in of_files]
+    identified = result.identifiability
     # the most useful first, where not all have room
     ranked = [
         *[f"Next: {action}" for action in page.actions],
         *page.findings[:1],
-        *lost_directions(result.identifiability),
+        *(
+            [_rank(identified)]
+            if identified is not None and identified.rank < identified.n
+            else []
+        ),
         *[f"Warning: {_sentence(warning)}" for warning in others],
         *noise_sentences(result),
         *earlier_sentences(result.machine),

@@ -23,7 +23,6 @@ from pkm_studies.stages.correct.mixture import mix_answers
 from pkm_studies.stages.design.section import (
     analyse_identifiability,
     draw_machine,
-    plan_measurements,
     plan_stages,
     report_design,
     report_single_stage,
@@ -45,14 +44,7 @@ from pkm_studies.stages.readings import (
     take_recorded,
     take_simulated,
 )
-from pkm_studies.stages.run_state import (
-    Fitted,
-    Measured,
-    Readings,
-    RunState,
-    Scheduled,
-    promote,
-)
+from pkm_studies.stages.run_state import Fitted, Measured, RunState, Scheduled, promote
 from pkm_studies.study import Study
 
 Step = Callable[[Any], Any]  #: takes a state of a run and returns the next
@@ -167,8 +159,7 @@ def planned(
 ) -> Scheduled:
     """The state of a run with the plan of stages. Raises InputError as a run of it."""
     state = RunState.start(study, seed, progress, [])
-    request = state.resolved.plan
-    if request is None:
+    if state.resolved.plan is None:
         raise study.location.path("plan", "measurement").error(
             "the study lists no measurement to plan with",
             "add [[plan.measurement]] tables",
@@ -176,13 +167,9 @@ def planned(
     earlier = None
     if after is not None:
         earlier_result = load_result(after)
-        earlier = read_earlier_session(state.resolved, request, after, earlier_result)
+        earlier = read_earlier_session(state.resolved, after, earlier_result)
         state = state.replace(resolved=earlier.resolved)
-        request = earlier.plan
-    state, outcome = plan_measurements(state, request, earlier)
-    readings = Readings(series=outcome.series)
-    of_plan = promote(Scheduled, state, readings=readings)
-    of_plan = analyse_identifiability(of_plan)
+    of_plan = analyse_identifiability(plan_readings(plan_stages(state, earlier)))
     if of_plan.identifiability is not None:
         measurement = of_plan.identifiability.measurement
         of_plan = of_plan.replace(measurement=measurement)

@@ -495,10 +495,9 @@ def _add_section(
     section = corrected_section(state, corrected, accuracy, draws, used, warnings)
     if accuracy is not None:
         section = add_least_error(section, corrected, accuracy, plain)
-    turned = corrected.turned_runs()
-    if turned is not None:
-        names = [run for _, run in turned.runs]
-        return _mark_turned_runs(state, section, names, turned.before, turned.after)
+    mistaken = _mark_turned_runs(state, section, corrected)
+    if mistaken is not None:
+        return mistaken
     state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
@@ -508,18 +507,15 @@ def _add_section(
 
 
 def _mark_turned_runs(
-    state: Fitted,
-    section: CorrectedSection,
-    turned: Sequence[str],
-    before: float,
-    after: float,
-) -> Fitted:
-    """The state whose first finding is runs that were driven the other way than written.
-
-    before, after  residuals over the stated noise as given, and with these runs turned
-    """
-    names = ", ".join(turned)
-    runs, were = ("run", "was") if len(turned) == 1 else ("runs", "were")
+    state: Fitted, section: CorrectedSection, corrected: CorrectedEstimate
+) -> Fitted | None:
+    """The state whose first finding is runs driven the other way than written, if any."""
+    turned = corrected.turned_runs()
+    if turned is None:
+        return None
+    names = ", ".join(run for _, run in turned.runs)
+    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    before, after = turned.before, turned.after  # over the stated noise
     effects = " and ".join(section.constants)
     sentence = (
         f"The readings look mistaken: {runs} {names} {were} driven the other way than the"

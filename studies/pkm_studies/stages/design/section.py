@@ -21,12 +21,12 @@ from oed.text import guaranteed_percent
 from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.describe import displayed_command, displayed_joints, displayed_values
-from pkm_studies.resolve import PlanRequest, ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages import headline
 from pkm_studies.stages.design import select
 from pkm_studies.stages.design.criteria import StudyCriteria, improvement_factors
 from pkm_studies.stages.design.select import ChosenDesign, plan_seconds
-from pkm_studies.stages.plan.plan import PlanOutcome, compute_plan
+from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.task import EarlierSession
 from pkm_studies.stages.run_state import RunState, ScheduledT
 
@@ -400,27 +400,23 @@ def select_design(state: RunState) -> RunState:
     ).add_warnings(*warnings)
 
 
-def plan_stages(state: RunState) -> RunState:
-    """Plan the measurements of [plan], if any; without a design, its readings count."""
+def plan_stages(state: RunState, earlier: EarlierSession | None = None) -> RunState:
+    """Plan the measurements of [plan], if any, after an `earlier` session.
+
+    Without a design, its readings count.
+    """
     if state.resolved.plan is None:
         return state
-    return plan_measurements(state, state.resolved.plan, None)[0]
-
-
-def plan_measurements(
-    state: RunState, request: PlanRequest, earlier: EarlierSession | None
-) -> tuple[RunState, PlanOutcome]:
-    """The state with the requested plan, after an `earlier` session; and the plan."""
     state.progress.stage("plan")
-    outcome = compute_plan(state, request, earlier)
-    state = state.replace(plan=outcome).add_sections(plan=outcome.section)
+    outcome = compute_plan(state, state.resolved.plan, earlier)
     planned = tuple(series for stage in outcome.scheduled for series in stage)
-    state = state.replace(planned=planned)
+    state = state.replace(plan=outcome, planned=planned)
+    state = state.add_sections(plan=outcome.section)
     if state.design is not None:
-        return state.add_warnings(PLAN_AND_DESIGN), outcome
+        return state.add_warnings(PLAN_AND_DESIGN)
     if state.resolved.dataset is not None:
-        return state, outcome
-    return state.replace(measurement=outcome.measurement), outcome
+        return state
+    return state.replace(measurement=outcome.measurement)
 
 
 def analyse_identifiability(state: ScheduledT) -> ScheduledT:

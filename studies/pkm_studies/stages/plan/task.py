@@ -99,7 +99,6 @@ class EarlierSession:
 
     #: the study about the machine as identified, without measurements done
     resolved: ResolvedStudy
-    plan: PlanRequest  #: what [plan] then requests
     #: (n, n) of the machine's free parameters, in units of their tolerances
     covariance: Array
     seconds: float  #: time that the session took
@@ -107,7 +106,7 @@ class EarlierSession:
 
 
 def read_earlier_session(
-    resolved: ResolvedStudy, request: PlanRequest, folder: Path, stored: StudyResult
+    resolved: ResolvedStudy, folder: Path, stored: StudyResult
 ) -> EarlierSession:
     """What a result in `folder` tells about the machine. Raises InputError."""
     machine = resolved.machine
@@ -121,8 +120,9 @@ def read_earlier_session(
     ]
     done = Counter(stored.drawing.reading_of if stored.drawing else [])
     # the time follows the measurement that mounts the set-up, else its instrument
-    seconds = sum(_option_seconds(option, done) for option in request.options)
-    planned = {name for option in request.options for name in option.candidates.setups}
+    options = () if resolved.plan is None else resolved.plan.options
+    seconds = sum(_option_seconds(option, done) for option in options)
+    planned = {name for option in options for name in option.candidates.setups}
     for name in sorted(set(done) - planned):
         if name in resolved.setups:
             mounting = resolved.setups[name].instrument.cost.setup
@@ -135,10 +135,8 @@ def read_earlier_session(
         f" identified from them ({source})."
     )
     identified_machine = machine.with_parameters(parameters)
-    resolved, plan = resolved.resume_plan(request.table, identified_machine, done)
     return EarlierSession(
-        resolved=resolved,
-        plan=plan,
+        resolved=resolved.resume_plan(identified_machine, done),
         covariance=covariance / np.outer(tolerance, tolerance),
         seconds=seconds,
         words=phrase,
