@@ -27,7 +27,7 @@ from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances
 from pkm_studies.base import InputError, Location
 from pkm_studies.compensation import result_study
-from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.results import estimated_section, load_result, refuse_bad_fit
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
 
@@ -68,7 +68,7 @@ def certificate(
     Raises InputError for a result that certifies no machine, and for unknown names.
     """
     section = _estimate(result, file)
-    promised = PromisedAccuracy.from_result(result, study, file, {}, {})
+    promised = PromisedAccuracy.from_result(result, study, Path(file).parent, {}, {})
     machine = promised.machine
     names = [name for name, p in section.parameters.items() if _counts(name, p.sd)]
     indices = [machine.index(name) for name in names]
@@ -97,13 +97,7 @@ def certificate(
 
 
 def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:
-    section = result.final_estimate
-    if section is None or not section.covariance:
-        raise InputError(
-            "this result has no estimate with its covariance",
-            "make it with `oed identify STUDY --readings CSV --out DIR`",
-            file=file,
-        )
+    section = estimated_section(result, Path(file).parent)
     if any(p.truth is not None for p in section.parameters.values()):
         raise InputError(
             "its readings are simulated, and a certificate is about a machine",

@@ -9,15 +9,9 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.model import Machine
-from oed.result import (
-    CorrectedSection,
-    EstimateSection,
-    MachineInfo,
-    MixtureSection,
-    ParameterEstimate,
-    StudyResult,
-)
+from oed.result import MachineInfo, MixtureSection, StudyResult
 from pkm_studies.base import Location
+from pkm_studies.results import Estimated
 
 FILE = "posterior.nc"
 #: difference of two nominal numbers, in their unit and relative, that is rounding
@@ -83,46 +77,42 @@ def known_parameters(
     section = _section(stored, machine, free, folder)
     mixture = stored.controller_mixture
     if mixture is not None and set(free) <= set(mixture.parameters):
-        return _mixture_knowledge(mixture, free)
+        source = "parameters over all hypotheses of the diagnosis"
+        return *si_estimates(mixture, free), source
     draws = folder / FILE
     if stored.corrected is None and draws.is_file():
         sample = read_draws(draws, free)
         if sample is not None:
             covariance = np.atleast_2d(np.cov(sample.T))
             return sample.mean(axis=0), covariance, "draws of the posterior"
-    rows = [section.parameters[name] for name in free]
-    value = _si_numbers([row.value for row in rows], rows)
     if not section.covariance:
-        sd = _si_numbers([row.sd for row in rows], rows)
+        rows = [section.parameters[name] for name in free]
+        factors = np.array([units.factor(row.unit) for row in rows])
+        sd = factors * [row.sd for row in rows]
         source = "standard deviations of the estimate, taken as independent"
-        return value, np.diag(sd**2), source
-    names = list(section.parameters)
-    indices = [names.index(name) for name in free]
-    factors = np.array([units.factor(row.unit) for row in rows])
-    covariance = np.array(section.covariance)[np.ix_(indices, indices)]
+        return factors * [row.value for row in rows], np.diag(sd**2), source
     source = "covariance of the estimate"
     if stored.corrected is not None:
         source = "parameters and effects estimated together"
-    return value, covariance * np.outer(factors, factors), source
+    return *si_estimates(section, free), source
 
 
-def _mixture_knowledge(
-    mixture: MixtureSection, free: Sequence[str]
-) -> tuple[Array, Array, str]:
-    """The same over all hypotheses of a diagnosis."""
-    names = list(mixture.parameters)
-    indices = [names.index(name) for name in free]
-    rows = [mixture.parameters[name] for name in free]
+def si_estimates(
+    section: Estimated | MixtureSection, names: Sequence[str]
+) -> tuple[Array, Array]:
+    """Values (n,) and covariance (n, n), SI, of named parameters of a section."""
+    listed = list(section.parameters)
+    indices = [listed.index(name) for name in names]
+    rows = [section.parameters[name] for name in names]
     factors = np.array([units.factor(row.unit) for row in rows])
-    covariance = np.array(mixture.covariance)[np.ix_(indices, indices)]
-    value = np.array([row.value for row in rows]) * factors
-    source = "parameters over all hypotheses of the diagnosis"
-    return value, covariance * np.outer(factors, factors), source
+    covariance = np.array(section.covariance)[np.ix_(indices, indices)]
+    values = factors * [row.value for row in rows]
+    return values, covariance * np.outer(factors, factors)
 
 
 def _section(
     stored: StudyResult, machine: str, free: Sequence[str], folder: Path
-) -> EstimateSection | CorrectedSection:
+) -> Estimated:
     """The estimate of a stored result, all of the free parameters in it."""
     location = Location(str(folder / "result.json")).key("estimate")
     section = stored.final_estimate
@@ -137,12 +127,6 @@ def _section(
     if stored.machine.name != machine:
         raise location.error(f"it is about {stored.machine.name}", remedy)
     return section
-
-
-def _si_numbers(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
-    """One number (n,) of each estimate, given in the estimate's unit."""
-    pairs = zip(numbers, rows, strict=True)
-    return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])
 
 
 def read_draws(path: Path, free: list[str]) -> Array | None:

@@ -4,6 +4,8 @@ load_result          the result of a folder
 read_result          the result of a file
 BadFitError          a fit that promises nothing: an exit of its own
 refuse_bad_fit       raises it where nothing may rest on a result's fit
+Estimated            a section with parameters and their covariance
+estimated_section    that of a result
 check_claims         the claims of a study, held against its result
 check_claim          one of them
 value_at             the value of a result at a claim's path
@@ -24,7 +26,14 @@ from typing import Any
 import msgspec
 
 from oed import trust
-from oed.result import BudgetLine, Claim, StudyResult, breaches
+from oed.result import (
+    BudgetLine,
+    Claim,
+    CorrectedSection,
+    EstimateSection,
+    StudyResult,
+    breaches,
+)
 from oed.text import shorten, suggest
 from pkm_studies import files
 from pkm_studies.base import Location, check_name
@@ -269,6 +278,9 @@ def error_quantities(values: Values, components: Mapping[str, str]) -> str:
 MAX_BYTES = 1 << 28  #: bytes of the largest result that is read
 
 
+Estimated = EstimateSection | CorrectedSection
+
+
 class BadFitError(Exception):
     """The fit is too bad for what is asked of it."""
 
@@ -299,6 +311,20 @@ def read_result(path: Path) -> StudyResult:
         ) from error
     check_name(result.study, location.key("study"))
     return result
+
+
+def estimated_section(result: StudyResult, folder: Path) -> Estimated:
+    """The corrected estimate where there is one, which effects do not bend.
+
+    folder  of the result, for errors. Raises InputError without a covariance.
+    """
+    section = result.final_estimate
+    if section is None or not section.covariance:
+        raise Location(str(folder / "result.json")).error(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+        )
+    return section
 
 
 def refuse_bad_fit(result: StudyResult) -> None:

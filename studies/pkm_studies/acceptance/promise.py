@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from oed.accuracy import ErrorMaps, Reference, driven_errors
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component, Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
-from pkm_studies.base import InputError
+from oed.result import StudyResult
 from pkm_studies.compensation import identified_parameters
+from pkm_studies.earlier_result import si_estimates
 from pkm_studies.resolve import StudyWorkspace, study_kinematics
+from pkm_studies.results import Estimated, estimated_section
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where
@@ -62,18 +64,19 @@ class PromisedAccuracy:
         cls,
         result: StudyResult,
         study: Study,
-        file: str,
+        folder: Path,
         promised: Mapping[str, float],
         uncertainty: Mapping[str, float],
     ) -> PromisedAccuracy:
         """The promise of a result for the components that the controller corrects.
 
+        folder       of the result, for errors
         promised     rms errors by component, SI, in place of the predicted ones
         uncertainty  of one measured error by component, SI
 
         Raises InputError where the result has no estimate with its covariance.
         """
-        section = _estimate(result, file)
+        section = estimated_section(result, folder)
         kinematics = study_kinematics(study)
         machine = kinematics.machine
         used = StudyWorkspace(study, kinematics)
@@ -125,18 +128,6 @@ class PromisedAccuracy:
             conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
             further=_further(result, kinematics, maps, reference, others, promise),
         )
-
-
-def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:
-    """The estimate of a result. Raises InputError where it has no covariance."""
-    section = result.final_estimate
-    if section is None or not section.covariance:
-        raise InputError(
-            "this result has no estimate with its covariance",
-            "make it with `oed identify STUDY --readings CSV --out DIR`",
-            file=file,
-        )
-    return section
 
 
 def _poses(used: StudyWorkspace) -> Array:
@@ -229,21 +220,17 @@ def _further(
     return FurtherPromise(promise(chosen), components, correctable[:, chosen])
 
 
-def covariances(
-    machine: Machine, section: EstimateSection | CorrectedSection
-) -> tuple[Array, Array]:
+def covariances(machine: Machine, section: Estimated) -> tuple[Array, Array]:
     """Covariance (np, np) of the identified parameters, and of the tolerances, SI."""
     size = len(machine.parameters)
     covariance, tolerance = np.zeros((size, size)), np.zeros((size, size))
-    names = list(section.parameters)
-    names_of_machine = {p.name for p in machine.parameters}
-    rows = [k for k, name in enumerate(names) if name in names_of_machine]
-    indices = [machine.index(names[k]) for k in rows]
-    factors = [units.factor(section.parameters[names[k]].unit) for k in rows]
-    part = np.array(section.covariance)[np.ix_(rows, rows)]
-    covariance[np.ix_(indices, indices)] = part * np.outer(factors, factors)
-    prior = [section.parameters[names[k]].prior_sd for k in rows]
-    tolerance[indices, indices] = (np.array(prior) * np.array(factors)) ** 2
+    of_machine = {p.name for p in machine.parameters}
+    names = [name for name in section.parameters if name in of_machine]
+    indices = [machine.index(name) for name in names]
+    covariance[np.ix_(indices, indices)] = si_estimates(section, names)[1]
+    rows = [section.parameters[name] for name in names]
+    prior = np.array([row.prior_sd * units.factor(row.unit) for row in rows])
+    tolerance[indices, indices] = prior**2
     return covariance, tolerance
 
 

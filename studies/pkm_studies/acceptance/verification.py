@@ -18,8 +18,6 @@ from oed.measurement import Measurement, Series
 from oed.model import Component, Machine
 from oed.result import (
     AcceptanceSection,
-    CorrectedSection,
-    EstimateSection,
     Judgement,
     PromiseRecord,
     RunCurve,
@@ -34,9 +32,15 @@ from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError, Location, Silent, Stream
 from pkm_studies.compensation import result_study
 from pkm_studies.csv_table import CsvTable
+from pkm_studies.earlier_result import si_estimates
 from pkm_studies.quantities import component_values
 from pkm_studies.resolve import readings_comments, study_machine
-from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.results import (
+    Estimated,
+    estimated_section,
+    load_result,
+    refuse_bad_fit,
+)
 from pkm_studies.stages import RunState, compensated_series, measured_curves
 from pkm_studies.user_code import Consent
 
@@ -74,11 +78,7 @@ def check_folder(
     """
     result = load_result(folder)
     location = Location(str(folder / "result.json"))
-    section = result.final_estimate
-    if section is None or not section.covariance:
-        raise location.error(
-            "this result has no estimate", "identify the machine first"
-        )
+    section = estimated_section(result, folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     state = RunState.start(study, None, Silent(), [readings])
@@ -100,10 +100,7 @@ def check_folder(
 
 
 def _compare(
-    measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
-    section: EstimateSection | CorrectedSection,
+    measurement: Measurement, series: Sequence[Series], y: Array, section: Estimated
 ) -> RunCheck | None:
     """The comparison; None where the compensated joints are not known."""
     theta, covariance = _knowledge(measurement, section)
@@ -132,25 +129,16 @@ def _compare(
     )
 
 
-def _knowledge(
-    measurement: Measurement, section: EstimateSection | CorrectedSection
-) -> tuple[Array, Array]:
+def _knowledge(measurement: Measurement, section: Estimated) -> tuple[Array, Array]:
     """Parameters (n,), SI, and their covariance (n, n); set-ups are mounted anew."""
     theta = measurement.nominal.copy()
     covariance = np.array(measurement.prior_covariance)
-    names = list(section.parameters)
-    of_machine = {p.name for p in measurement.machine.parameters}
-    stored = np.array(section.covariance)
-    columns = [(k, n) for k, n in enumerate(measurement.names) if n in names]
-    columns = [(k, n) for k, n in columns if n in of_machine]
-    places = [k for k, _ in columns]
-    rows = [names.index(n) for _, n in columns]
-    factor = np.array([units.factor(section.parameters[n].unit) for _, n in columns])
-    theta[places] = factor * [section.parameters[n].value for _, n in columns]
+    known = {p.name for p in measurement.machine.parameters} & {*section.parameters}
+    places = [k for k, name in enumerate(measurement.names) if name in known]
+    names = [measurement.names[k] for k in places]
+    theta[places], of_machine = si_estimates(section, names)
     covariance[places] = covariance[:, places] = 0.0
-    covariance[np.ix_(places, places)] = stored[np.ix_(rows, rows)] * np.outer(
-        factor, factor
-    )
+    covariance[np.ix_(places, places)] = of_machine
     return theta, covariance
 
 
@@ -505,7 +493,7 @@ def plan_folder(
     accuracy = PromisedAccuracy.from_result(
         result,
         study,
-        str(folder / "result.json"),
+        folder,
         component_values(promised, "--promise", machine),
         component_values(uncertainty, "--uncertainty", machine),
     )

@@ -20,7 +20,11 @@ from oed.result import StudyResult
 from oed.text import suggest
 from pkm_studies import quantities
 from pkm_studies.base import Location
-from pkm_studies.earlier_result import known_parameters, machine_difference
+from pkm_studies.earlier_result import (
+    known_parameters,
+    machine_difference,
+    si_estimates,
+)
 from pkm_studies.resolve.machine import matching_names, names_of_one_unit
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
@@ -279,11 +283,7 @@ def _information(
             "name machines of one model",
             name,
         )
-    names = list(section.parameters)
-    indices = [names.index(parameter) for parameter in free]
-    block = np.array(section.covariance)[np.ix_(indices, indices)] * np.outer(
-        scale, scale
-    )
+    block = si_estimates(section, free)[1]
     information = history.MachineInformation.from_posterior(value, block, start, prior)
     return information.rescaled(tolerance / prior, shift)
 

@@ -12,21 +12,19 @@ from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Machine
-from oed.result import (
-    AdjustedRecord,
-    AdjustmentLine,
-    AdjustmentSection,
-    CorrectedSection,
-    EstimateSection,
-    StudyResult,
-)
+from oed.result import AdjustedRecord, AdjustmentLine, AdjustmentSection, StudyResult
 from pkm_studies import earlier_result, files, result_folder
 from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
 from pkm_studies.compensation import adjusted_result, result_study
 from pkm_studies.quantities import component_values
 from pkm_studies.resolve import StudyWorkspace, study_kinematics
-from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.results import (
+    Estimated,
+    estimated_section,
+    load_result,
+    refuse_bad_fit,
+)
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
 
@@ -90,21 +88,14 @@ def adjustable_machine(
     result: StudyResult, study: Study, folder: Path, wanted: str
 ) -> AdjustableMachine:
     """What is known of a result's machine, for `wanted` rms. Raises InputError."""
-    section = result.final_estimate
-    file = str(folder / "result.json")
-    if section is None or not section.covariance:
-        raise InputError(
-            "this result has no estimate with its covariance",
-            "make it with `oed identify STUDY --readings CSV --out DIR`",
-            file=file,
-        )
+    section = estimated_section(result, folder)
     kinematics = study_kinematics(study)
     machine = _identifiable(kinematics.machine, section)
     if not any(p.adjust for p in machine.parameters):
         raise InputError(
             f"nothing is stated to move a parameter of {machine.name}",
             'say what does: [[machine.adjust]] with parameters = ["..."] and by = "..."',
-            file=file,
+            file=str(folder / "result.json"),
             field="machine.adjust",
         )
     identified = machine.nominal.copy()
@@ -123,9 +114,7 @@ def adjustable_machine(
     )
 
 
-def _identifiable(
-    machine: Machine, section: EstimateSection | CorrectedSection
-) -> Machine:
+def _identifiable(machine: Machine, section: Estimated) -> Machine:
     """The machine with the tolerances of the fit; what is fixed there is not adjusted."""
     parameters = []
     for parameter in machine.parameters:
@@ -143,7 +132,7 @@ def _covariance(
     result: StudyResult,
     machine: Machine,
     identified: Array,
-    section: EstimateSection | CorrectedSection,
+    section: Estimated,
     folder: Path,
 ) -> Array:
     """Second moment (np, np), SI, of the posterior's draws, or of the estimate."""

@@ -11,19 +11,16 @@ import numpy as np
 from oed import trust, units
 from oed.base import Array
 from oed.history import MachineSessions, SessionDrift
-from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
+from oed.result import EstimateSection, ParameterEstimate, StudyResult
 from pkm_studies import files
 from pkm_studies.acceptance import PromisedAccuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
 from pkm_studies.quantities import component_values
-from pkm_studies.results import load_result
+from pkm_studies.results import Estimated, estimated_section, load_result
 from pkm_studies.user_code import Consent
 
 # Compares the results of two sessions of one machine: what changed.
-
-#: a section with parameters, their covariance and chi2
-Fitted = EstimateSection | CorrectedSection
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +49,7 @@ def sessions_of(
     results: Sequence[StudyResult], folders: Sequence[Path]
 ) -> tuple[MachineSessions, dict[str, str]]:
     """The sessions of several results, and parameters' units. Raises InputError."""
-    estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
+    estimates = [estimated_section(r, f) for r, f in zip(results, folders, strict=True)]
     tables = [
         _machine_parameters(result, estimate)
         for result, estimate in zip(results, estimates, strict=True)
@@ -85,7 +82,7 @@ def refuse_same_sessions(
     """Raises InputError where two folders hold one session: equal readings."""
     first: dict[tuple[float, ...], Path] = {}
     for result, folder in zip(results, folders, strict=True):
-        readings = _readings_of(_estimate(result, folder), result.estimate)
+        readings = _readings_of(estimated_section(result, folder), result.estimate)
         if readings in first:
             raise InputError(
                 f"this is the session of {first[readings]}: the readings are equal",
@@ -95,27 +92,17 @@ def refuse_same_sessions(
         first[readings] = folder
 
 
-def _readings_of(final: Fitted, estimate: EstimateSection | None) -> tuple[float, ...]:
+def _readings_of(
+    final: Estimated, estimate: EstimateSection | None
+) -> tuple[float, ...]:
     """What tells the readings of sessions apart: deviations from the nominal machine."""
     if estimate is not None and any(estimate.residuals_before):
         return tuple(estimate.residuals_before)
     return tuple(p.value for p in final.parameters.values())
 
 
-def _estimate(result: StudyResult, folder: Path) -> Fitted:
-    """The corrected estimate where there is one, which effects do not bend."""
-    estimate = result.final_estimate
-    if estimate is None or not estimate.covariance:
-        raise InputError(
-            "this result has no estimate with its covariance",
-            "make it with `oed identify`",
-            file=str(folder / "result.json"),
-        )
-    return estimate
-
-
 def _machine_parameters(
-    result: StudyResult, estimate: Fitted
+    result: StudyResult, estimate: Estimated
 ) -> dict[str, ParameterEstimate]:
     """The machine's parameters that are not fixed; set-ups are mounted anew."""
     names = {str(row["name"]) for row in result.machine.parameters}
@@ -144,7 +131,7 @@ def _check_same(
     raise InputError(problem, remedy, file=str(after / "result.json"))
 
 
-def _session(names: list[str], estimate: Fitted) -> tuple[Array, Array]:
+def _session(names: list[str], estimate: Estimated) -> tuple[Array, Array]:
     """Mean and covariance of the machine's parameters, marginal to the set-ups."""
     position = {name: k for k, name in enumerate(estimate.parameters)}
     rows = [position[name] for name in names]
@@ -324,9 +311,7 @@ def _errors(
     """The error of each driven component, over the parameters in display units."""
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder, study_file, consent)
-    accuracy = PromisedAccuracy.from_result(
-        latest, study, str(folder / "result.json"), {}, {}
-    )
+    accuracy = PromisedAccuracy.from_result(latest, study, folder, {}, {})
     component_limits = component_values(limits, "--limit", accuracy.machine)
     columns = [accuracy.machine.index(name) for name in shown]
     factors = np.array([units.factor(unit) for unit in shown.values()])
