@@ -74,15 +74,20 @@ def _collected(refused: list[OSError]) -> Iterator[None]:
 
 def add_files(
     folder: Path, result: StudyResult, texts: Mapping[str, str]
-) -> StudyResult:
-    """Write further files by name beside a result of the folder, which names them."""
+) -> tuple[StudyResult, list[Path]]:
+    """Write further files by name beside a result of the folder, which names them.
+
+    Returns the result with their digests, and their paths.
+    """
     earlier_files, written = written_before(folder), dict(result.written)
+    paths = []
     for name, text in texts.items():
         path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
+        paths.append(path)
     result = replace(result, written=written)
     rewrite(folder, result)
-    return result
+    return result, paths
 
 
 def rewrite(folder: Path, result: StudyResult) -> None:

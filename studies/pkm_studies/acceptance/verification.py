@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 from scipy import linalg, stats
 
-from oed import csv_text, safe_files, units, verdict
+from oed import csv_text, units, verdict
 from oed.acceptance import MIN_POWER, AcceptancePlan, Promise, judge, positioning
 from oed.base import Array, Index
 from oed.dataset import commented
@@ -27,7 +27,7 @@ from oed.result import (
     finite_or_none,
 )
 from oed.text import format_p_value, rounded
-from pkm_studies import csv_table, describe, files, result_folder
+from pkm_studies import csv_table, describe, result_folder
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError, Location, Silent, Stream
 from pkm_studies.compensation import result_study
@@ -501,12 +501,9 @@ def plan_folder(
     section = plan_section(result, accuracy, rng, power=power, most=most)
     healthy = healthy_accuracy(result, planned, section.components)
     section = replace(section, healthy=healthy)
-    text = acceptance_form(section, machine)
-    earlier_files = list(result.written.values())
-    path = safe_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
-    written = {**result.written, path.name: files.digest(text.encode())}
-    result = replace(result, acceptance=section, verification=None, written=written)
-    result_folder.rewrite(folder, result)
+    result = replace(result, acceptance=section, verification=None)
+    texts = {ACCEPTANCE_FILE: acceptance_form(section, machine)}
+    _, (path,) = result_folder.add_files(folder, result, texts)
     return section, path
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from oed import csv_text, safe_files, units
+from oed import csv_text, units
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from oed.result import AdjustedRecord, AdjustmentLine, AdjustmentSection, StudyResult
-from pkm_studies import earlier_result, files, result_folder
+from pkm_studies import earlier_result, result_folder
 from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
 from pkm_studies.compensation import adjusted_result, result_study
@@ -21,6 +21,7 @@ from pkm_studies.quantities import component_values
 from pkm_studies.resolve import StudyWorkspace, study_kinematics
 from pkm_studies.results import (
     Estimated,
+    error_quantities,
     estimated_section,
     load_result,
     refuse_bad_fit,
@@ -54,9 +55,6 @@ def adjust_folder(
     machine = adjustable_machine(result, study, folder, wanted)
     section = _section(result, machine, wanted)
     result = replace(result, adjustment=section)
-    earlier_files = list(result.written.values())
-    written = dict(result.written)
-    paths = []
     # the machine after the adjustment, as [machine.nominal] of a next study
     adjusted = adjusted_result(result).final_estimate
     lines = [
@@ -71,12 +69,7 @@ def adjust_folder(
         if parameter in parameter_names:
             lines.append(f"{parameter}_{p.unit} = {p.value:.9g}  # sd {p.sd:.2g}")
     texts = {CSV: _csv_text(section), NOMINAL: "\n".join(lines) + "\n"}
-    for name, text in texts.items():
-        path = safe_files.write_own(folder / name, text.encode(), earlier_files)
-        written[path.name] = files.digest(text.encode())
-        paths.append(path)
-    result = replace(result, written=written)
-    result_folder.rewrite(folder, result)
+    result, paths = result_folder.add_files(folder, result, texts)
     if section.lines:
         from pkm_reports import write_adjustment_page
 
@@ -275,7 +268,7 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
         )
     yield f"Total: {section.about}, over {section.poses} poses, after compensation."
     total = _total_value(section, start.total)
-    yield f"As it is: total {total} ({_components(section, start)})"
+    yield f"As it is: total {total} ({error_quantities(start.corrected, section.unit)})"
     for k, line in enumerate(section.lines, start=1):
         record = section.accuracy[k]
         steps = "" if line.steps is None else f", {line.steps:+d} steps"
@@ -285,7 +278,7 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
         )
         yield (
             f"   then total {_total_value(section, record.total)}"
-            f" ({_components(section, record)}); the whole list without this line:"
+            f" ({error_quantities(record.corrected, section.unit)}); the whole list without this line:"
             f" total {_total_value(section, line.without)}"
         )
     for condition in section.conditions:
@@ -295,11 +288,3 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
 def _total_value(section: AdjustmentSection, value: float) -> str:
     unit = " times what is wanted" if section.total_unit == "1" else " um"
     return f"{value:.4g}{unit}"
-
-
-def _components(section: AdjustmentSection, record: AdjustedRecord) -> str:
-    parts = [
-        f"{name} {value:.3g} {section.unit[name]}"
-        for name, value in record.corrected.items()
-    ]
-    return ", ".join(parts)

@@ -369,7 +369,7 @@ def forecast_study(
     names = {claim.claim for claim in checked}
     others = [claim for claim in stored.claims if claim.claim not in names]
     result = replace(result, claims=[*others, *checked])
-    return result_folder.add_files(out, result, state.forecast_files)
+    return result_folder.add_files(out, result, state.forecast_files)[0]
 
 
 def simulate_study(
