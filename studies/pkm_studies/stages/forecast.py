@@ -55,25 +55,20 @@ def figures(section: ForecastSection | None) -> Iterator[str]:
     if section is None:
         return
     for name, c in section.components.items():
-        yield _planned(name, c) if c.predicted is None else _residual(name, c)
-
-
-def _planned(name: str, c: ForecastComponent) -> str:
-    return (
-        f"{name}: of {c.expected:.3g} {c.unit} rms, interpolation between the nodes is"
-        f" predicted to leave {c.planned:.3g} {c.unit}."
-    )
-
-
-def _residual(name: str, c: ForecastComponent) -> str:
-    if c.measured is None:
-        return f"{name}: not measured; {c.predicted:.3g} {c.unit} rms are predicted."
-    return (
-        f"{name}: of {c.measured:.3g} {c.unit} rms at the nodes, the table is predicted"
-        f" to leave {c.predicted:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g} {c.unit})."
-        f" Each node, predicted by all others: {c.left_out:.3g} {c.unit} off; expected are"
-        f" {c.left_out_predicted:.3g} {c.unit}."
-    )
+        if c.predicted is None:
+            yield (
+                f"{name}: of {c.expected:.3g} {c.unit} rms, interpolation between the nodes"
+                f" is predicted to leave {c.planned:.3g} {c.unit}."
+            )
+        elif c.measured is None:
+            yield f"{name}: not measured; {c.predicted:.3g} {c.unit} rms are predicted."
+        else:
+            yield (
+                f"{name}: of {c.measured:.3g} {c.unit} rms at the nodes, the table is predicted"
+                f" to leave {c.predicted:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g} {c.unit})."
+                f" Each node, predicted by all others: {c.left_out:.3g} {c.unit} off; expected are"
+                f" {c.left_out_predicted:.3g} {c.unit}."
+            )
 
 
 # Table [forecast] as the kernel's objects: workspace, candidates, noise; SI.

@@ -296,7 +296,10 @@ def closure_sentences(gap: GapSection) -> list[str]:
 
 def _closure(closure: ClosureRecord, value: float) -> str:
     """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
-    digits = _digits(closure.low)
+    # near 100 %, enough decimals to show that something remains
+    digits = 0
+    if closure.low is not None and closure.low >= 0.99:
+        digits = 1 if closure.low < 0.999 else 2
     if value == 0.0:
         size = "nothing"
     elif value < 1.0:
@@ -322,7 +325,9 @@ def _interval(closure: ClosureRecord, digits: int) -> str:
         return ""
     if low < 0.0:
         return f" ({_bound_in_words(low)} to {_bound_in_words(high)})"
-    return f" ({_format_bound(low, digits)} to {_format_bound(high, digits)} %)"
+    # no gap shrinks by more than 100 %
+    shares = [_format_share(min(end, 1.0), digits) for end in (low, high)]
+    return f" ({' to '.join(shares)} %)"
 
 
 def _bound_in_words(share: float) -> str:
@@ -332,13 +337,6 @@ def _bound_in_words(share: float) -> str:
     return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
 
 
-def _digits(low: float | None) -> int:
-    """Decimals of a percentage: near 100 %, enough to show that something remains."""
-    if low is None or low < 0.99:
-        return 0
-    return 1 if low < 0.999 else 2
-
-
 def _format_share(value: float, digits: int) -> str:
     """A share in percent, never rounded up to the whole."""
     scaled, whole = value * 10 ** (digits + 2), 10 ** (digits + 2)
@@ -346,11 +344,6 @@ def _format_share(value: float, digits: int) -> str:
     if value < 1.0 and rounded >= whole:
         rounded = math.floor(scaled)
     return f"{rounded / 10**digits:.{digits}f}"
-
-
-def _format_bound(value: float, digits: int) -> str:
-    """An end of the interval of a share; no gap shrinks by more than 100 %."""
-    return _format_share(min(value, 1.0), digits)
 
 
 #: how readings that are taken for it come into the answer

@@ -6,7 +6,6 @@ published revolutions per metre. Every second pose becomes the set-up `fit`, the
 `blind`. Angles are of R = Rx(alpha) Ry(beta) Rz(gamma).
 """
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,17 +41,9 @@ def _legs(pose: Row) -> Row:
 
 def _read(pose: Row) -> Row:
     position = {f"read_{name[-1]}_mm": pose[name] for name in POSITION}
-    angles = _angles(*(float(pose[name]) for name in QUATERNION))
-    names = ("alpha", "beta", "gamma")
-    degrees = zip(names, map(math.degrees, angles), strict=True)
-    return position | {f"read_{name}_deg": repr(angle) for name, angle in degrees}
+    from scipy.spatial.transform import Rotation  # only this collection needs it
 
-
-def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """alpha, beta, gamma of a quaternion, rad."""
-    size = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / size, y / size, z / size, w / size
-    alpha = math.atan2(2.0 * (w * x - y * z), 1.0 - 2.0 * (x * x + y * y))
-    beta = math.asin(2.0 * (x * z + w * y))
-    gamma = math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (y * y + z * z))
-    return alpha, beta, gamma
+    quaternion = [float(pose[name]) for name in QUATERNION]
+    angles = Rotation.from_quat(quaternion).as_euler("XYZ", degrees=True).tolist()
+    pairs = zip(("alpha", "beta", "gamma"), angles, strict=True)
+    return position | {f"read_{name}_deg": repr(angle) for name, angle in pairs}
