@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,23 +52,19 @@ def check(
     resolved: list[ResolvedStudy] = []
     alone = all(p.suffix != ".csv" for p in paths)
     has_study = any(p.suffix not in (".csv", ".py") for p in paths)
-    for path in [p for p in paths if p.suffix == ".py"]:
-        yield path, _verdict(partial(_check_machine, path, consent))
-    for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
-        check_study = partial(_check_study, path, consent, resolved, alone=alone)
-        yield path, _verdict(check_study)
-    for path in [p for p in paths if p.suffix == ".csv"]:
-        yield (
-            path,
-            _verdict(partial(_check_readings, path, resolved, has_study=has_study)),
-        )
-
-
-def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
-    try:
-        return check_file()
-    except InputError as error:
-        return error
+    # machines first, then studies, then readings
+    for path in sorted(paths, key=lambda p: {".py": 0, ".csv": 2}.get(p.suffix, 1)):
+        try:
+            if path.suffix == ".py":
+                verdict = _check_machine(path, consent)
+            elif path.suffix == ".csv":
+                verdict = _check_readings(path, resolved, has_study=has_study)
+            else:
+                verdict = _check_study(path, consent, resolved, alone=alone)
+        except InputError as error:
+            yield path, error
+        else:
+            yield path, verdict
 
 
 def _check_machine(path: Path, consent: Consent) -> Verdict:

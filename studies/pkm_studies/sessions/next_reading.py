@@ -654,17 +654,14 @@ def _diagnosis(study: Study, result: StudyResult, folder: Path) -> GapSection:
 
 
 def _condition(run: ChosenRun) -> str:
-    phrase = list(_words(run.condition))
-    return f" ({', '.join(phrase)})" if phrase else ""
-
-
-def _words(condition: Mapping[str, float]) -> Iterator[str]:
+    condition, phrases = run.condition, []
     if "direction" in condition:
-        yield f"direction {condition['direction']:+.0f}"
+        phrases.append(f"direction {condition['direction']:+.0f}")
     if "feed" in condition:
-        yield f"{condition['feed'] / units.MM_PER_MIN:g} mm/min"
+        phrases.append(f"{condition['feed'] / units.MM_PER_MIN:g} mm/min")
     if "payload" in condition:
-        yield f"{condition['payload']:g} N"
+        phrases.append(f"{condition['payload']:g} N")
+    return f" ({', '.join(phrases)})" if phrases else ""
 
 
 # Poses that an operator has skipped, from the remarks of a readings file.

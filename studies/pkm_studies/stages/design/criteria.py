@@ -94,9 +94,13 @@ class StudyCriteria:
         """
         needs = CRITERIA[name].needs
         if needs == "interest":
-            return self._interest(measurement)
+            names = measurement.free_names
+            wanted = [k for k, n in enumerate(names) if n in self.request.interest]
+            return np.eye(int(measurement.free.sum()))[:, wanted]
         if needs == "combination":
-            return self._combination(measurement)
+            coefficients = self.request.combination
+            row = [coefficients.get(n, 0.0) for n in measurement.free_names]
+            return (np.array(row) * self._scale(measurement))[None]
         if needs == "accuracy":
             return self._accuracy_gradients(measurement, effects)
         return None
@@ -104,16 +108,6 @@ class StudyCriteria:
     def _scale(self, measurement: Measurement) -> Array:
         scale = column_scale(measurement, self.table.scaling)
         return scale[measurement.free]
-
-    def _interest(self, measurement: Measurement) -> Array:
-        names = measurement.free_names
-        wanted = [k for k, n in enumerate(names) if n in self.request.interest]
-        return np.eye(int(measurement.free.sum()))[:, wanted]
-
-    def _combination(self, measurement: Measurement) -> Array:
-        coefficients = self.request.combination
-        row = [coefficients.get(name, 0.0) for name in measurement.free_names]
-        return (np.array(row) * self._scale(measurement))[None]
 
     def _accuracy_gradients(
         self, measurement: Measurement, effects: PlannedEffects | None
