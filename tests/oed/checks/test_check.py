@@ -7,15 +7,17 @@ import blunder_machines as machines
 import numpy as np
 import pytest
 
-from oed.checks import check
+from oed.checks import check, judgement
 from oed.checks.blind import _is_whole, unseen_mistakes
 from oed.checks.check import CheckedSession, _exchanged, check_session
-from oed.checks.explain import Explanation
+from oed.checks.explain import Explanation, _log_of_poses_read
 from oed.checks.findings import Severity
 from oed.checks.judgement import Judgement
 from oed.checks.mistakes import Suspect, trials
+from oed.checks.mistakes.noise import _trend_p_value
 from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
+from oed.estimation import identify
 
 SIGMA = 0.5e-6
 
@@ -123,3 +125,62 @@ def test_a_mistake_that_the_law_holds_brings_no_unlikelier_one(monkeypatch):
     for likely, expected in (([SCALE, SHIFT], []), ([SHIFT, SCALE], [SHIFT])):
         monkeypatch.setattr(check, "explain", lambda *_, some=likely, **__: some)
         assert check._explanations(clean(), measurement, by_law) == expected
+
+
+def test_check_and_fit_judge_by_one_noise_law():
+    """Of readings with run offsets: scale of single readings, error of a run."""
+    one = machines.session("delta", machines.readings("delta", 3, "run offsets"))
+    search = judgement.find_outliers(one, np.zeros(0, dtype=np.intp))
+    law, _ = judgement.estimated_law(search.solution)
+    estimate = identify(one.measurement, one.series, one.y, estimate_noise=True)
+    posterior = estimate.noise_posterior
+    fitted = posterior.prior.laws(posterior.mode[None])
+    scales = [law.scale[name] for name in posterior.structure.names]
+    assert scales == pytest.approx(fitted.scale[0].tolist(), rel=0.1)
+    assert law.law.level[0] == pytest.approx(fitted.level[0], rel=0.2)
+    assert fitted.level[0] > 0.9
+
+
+def test_no_sign_is_lost_where_none_is_known():
+    """Heights of a nominal machine are zero: its noise does not tell their sign."""
+    rows = machines.readings("delta", 0)
+    probe = rows["setup"] == "probe"
+    rows.loc[probe, "height_mm"] = rows.loc[probe, "height_mm"].abs().round(0)
+    checked = machines.check("delta", rows)
+    assert all("is lost" not in one.what for one in checked.explanations)
+
+
+HALF, OTHER = np.arange(20), np.arange(20, 30)  #: readings of two parts of a set-up
+
+
+def test_residuals_that_follow_the_pose_are_no_noise(rng):
+    """By second-order polynomials; the level of the test is kept by noise alone."""
+    commands = rng.uniform(-1.0, 1.0, (60, 3))
+    bent = commands[:, 0] * commands[:, 1]
+    assert _trend_p_value(commands, bent + 0.1 * rng.standard_normal(60)) < 1e-9
+    levels = [_trend_p_value(commands, rng.standard_normal(60)) for _ in range(400)]
+    assert 0.02 < np.mean(np.array(levels) < 0.05) < 0.09
+    assert _trend_p_value(commands[:12], bent[:12]) == 1.0
+
+
+def test_poses_in_a_smaller_unit_are_as_much_denser_where_they_were_read():
+    """A printer reads the same everywhere, and its noise is in z."""
+    rows = machines.readings("delta", 0)
+    session = machines.session("delta", rows)
+    assert _log_of_poses_read(session, [session]) == 0.0
+    same = session.with_y(np.zeros(len(session)))
+    moved = tuple(
+        dataclasses.replace(s, command=s.command * [1.0, 1.0, 1e-3])
+        for s in same.series
+    )
+    squeezed = dataclasses.replace(same, series=moved)
+    varied = sum(len(s) for s in same.series if np.ptp(s.command[:, 2]) > 0.0)
+    assert varied > 20
+    expected = varied * np.log(1e-3)
+    assert _log_of_poses_read(same, [squeezed]) == pytest.approx(expected)
+    # of one set-up among others, its own readings alone
+    first, *rest = same.series
+    two = dataclasses.replace(same, series=(first.take(HALF), first.take(OTHER), *rest))
+    part = dataclasses.replace(two, series=(moved[0].take(HALF), *two.series[1:]))
+    expected = len(HALF) * np.log(1e-3)
+    assert _log_of_poses_read(two, [part]) == pytest.approx(expected)

@@ -1,14 +1,22 @@
-"""Verdicts on a fit: its goodness, its outliers, and the odds of mistakes."""
+"""Verdicts on a fit, and the figures, rows and columns of its sentences."""
+
+from pathlib import Path
 
 import blunder_machines as machines
 import numpy as np
+import pandas as pd
 import pytest
+import sample
 from scipy import stats
 
-from oed.checks import explain
-from oed.checks.findings import rounded
+from oed import checks, dataset
+from oed.checks import explain, sentences
+from oed.checks.copies import CoarseReadings, EqualReadings
+from oed.checks.findings import Severity, rounded
 from oed.checks.fit import fit, goodness, goodness_of, goodness_of_estimate
 from oed.checks.mistakes import Suspect
+from oed.checks.session import Ranges, SessionReadings
+from oed.dataset.data import short_names
 from oed.estimation import identify
 
 SIGMA = 0.5e-3  # mm, of the bar
@@ -162,3 +170,79 @@ def test_only_a_specific_mistake_settles_the_search():
 ])  # fmt: skip
 def test_a_number_has_the_digits_that_its_deviation_leaves(value, sd, words):
     assert rounded(value, sd) == words
+
+
+def of_two_files(tmp_path: Path) -> SessionReadings:
+    """The same readings in two files, with runs of other names in the second."""
+    measurement = sample.resolved().measurement
+    paths = [tmp_path / "first.csv", tmp_path / "later.csv"]
+    later = sample.READINGS.replace(",low,", ",low2,").replace(",high,", ",high2,")
+    for path, text in zip(paths, (sample.READINGS, later), strict=True):
+        path.write_text(text, encoding="utf-8")
+    data = dataset.load(paths, measurement)
+    return checks.session_readings(
+        measurement, data.series, data.y, data.covariates, data.columns
+    )
+
+
+def test_a_row_of_several_files_is_named_with_its_file(tmp_path):
+    session = of_two_files(tmp_path)
+    rows = session.rows(range(6))
+    assert [int(row) for row in rows] == [2, 3, 5, 2, 3, 5]
+    assert len(set(rows)) == 6
+    finding = sentences.doubled(session, [EqualReadings((0, 3), same_pose=True)])
+    assert "rows 2 of first.csv and 2 of later.csv." in finding.sentence
+    assert "row 3 of later.csv, column" in sentences._place(session, 4)
+
+
+def test_rows_of_the_only_file_are_numbers():
+    session = machines.session("a3", machines.readings("a3", 2))
+    rows = session.rows([3, 4])
+    assert all(isinstance(row, int) for row in rows)
+    assert pd.api.types.is_integer_dtype(session.values["row"])
+
+
+@pytest.mark.parametrize(("files", "names"), [
+    (["a/one.csv", "b/two.csv"], ["one.csv", "two.csv"]),
+    (["a/one.csv", "b/one.csv"], ["a/one.csv", "b/one.csv"]),
+    (["a\\one.csv", "two.csv"], ["one.csv", "two.csv"]),
+])  # fmt: skip
+def test_files_go_by_their_names_where_these_differ(files, names):
+    assert short_names(files) == names
+
+
+@pytest.fixture(scope="module")
+def session() -> SessionReadings:
+    return machines.session("a3", machines.readings("a3", 2))
+
+
+def test_nothing_is_explained_by_no_mistake():
+    assert sentences.explained([]) == []
+    assert sentences.no_fit().severity == Severity.BAD_FIT
+
+
+def test_equal_readings_are_named_by_their_rows(session):
+    group = EqualReadings((3, 4), same_pose=False)
+    finding = sentences.doubled(session, [group])
+    rows = session.values["row"].to_numpy()[[3, 4]]
+    assert finding.rows == tuple(rows)
+    assert f"rows {rows[0]} and {rows[1]}." in finding.sentence
+    assert "at other poses" in finding.sentence
+
+
+def test_a_step_is_in_the_unit_of_its_column(session):
+    coarse = CoarseReadings("length", 1e-5, tuple(range(len(session))))
+    sentence = sentences.coarse(session, coarse).sentence
+    assert "readings of length_mm are multiples of 0.01:" in sentence
+
+
+def test_a_value_outside_its_range_is_the_farthest(session, rng):
+    ranges: Ranges = session.predict_ranges(rng)
+    y = session.y.copy()
+    y[4] += 20.0 * ranges.sd[4]
+    y[9] -= 90.0 * ranges.sd[9]
+    finding = sentences.outside(session.with_y(y), ranges, np.array([4, 9]))
+    rows = session.values["row"].to_numpy()[[4, 9]]
+    assert finding.rows == tuple(sorted(rows))
+    assert finding.sentence.startswith("2 readings lie outside")
+    assert f"row {rows[1]}, column length_mm = {1e3 * y[9]:.7g}" in finding.sentence
