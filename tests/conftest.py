@@ -41,7 +41,7 @@ gc.set_threshold(100_000, 20, 50)
 NIGHTLY_STUDIES = {
     "a3_adjust": "tests/studies/sessions/test_adjust.py",
     "a3_forecast": "studies/planar_forecast.study.toml",
-    "a3_home_orientation": "tests/models/machines/test_a3_home_orientation.py",
+    "a3_home_orientation": "tests/models/machines/test_a3_bars.py",
     "a3_test_circles": "tests/studies/stages/test_run_curves.py",
     "delta_v400": "tests/models/machines/test_delta_real.py",
     "delta_v400_reverse": "tests/models/machines/test_delta_real.py",

@@ -1,21 +1,25 @@
-"""The estimated noise law reaches result.json, the report and the terminal."""
+"""Estimated noise laws and bad fits reach result.json, the report and the terminal."""
 
+import itertools
 import json
 from pathlib import Path
+from typing import Any
 
 import bad_fit_sample
 import bar_readings
 import numpy as np
 import pytest
 import sample
+from bad_fit_sample import STUDY, WITHOUT_REPORT, write
 from scipy import stats
 
+from oed.checks import explain
 from oed.noise import reach_phrase
 from pkm_studies.commands import main
 
 ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
 ESTIMATED = sample.changed(bad_fit_sample.STUDY, ESTIMATE)
-WITHOUT_REPORT = sample.changed(bad_fit_sample.WITHOUT_REPORT, ESTIMATE)
+ESTIMATED = sample.changed(bad_fit_sample.WITHOUT_REPORT, ESTIMATE)
 
 
 def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
@@ -72,7 +76,7 @@ def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(tmp
 
 
 def test_noise_as_stated_departs_from_nothing(tmp_path):
-    goodness = fit(tmp_path, bar_readings.a3_readings(0), WITHOUT_REPORT)
+    goodness = fit(tmp_path, bar_readings.a3_readings(0), ESTIMATED)
     assert not goodness["noise_words"]
     assert not any(record["departs"] for record in goodness["noise"].values())
     assert 1e-3 < goodness["p_low"] < 1.0 - 1e-3
@@ -88,3 +92,50 @@ def test_noise_as_stated_departs_from_nothing(tmp_path):
 ])  # fmt: skip
 def test_a_reach_is_what_the_runs_can_show(reach, longest, words):
     assert reach_phrase(reach, longest) == words
+
+
+def identify(folder: Path, readings: bar_readings.Readings, text: str = STUDY) -> int:
+    study, table = write(folder, readings, text)
+    out = str(folder / "fit")
+    return main(["identify", str(study), "--readings", str(table), "--out", out])
+
+
+@pytest.mark.mistakes
+def test_a_mistake_is_the_first_line_and_predicts_nothing(
+    tmp_path, capsys, monkeypatch
+):
+    readings = bar_readings.a3_readings(0)
+    ranked = explain.candidates
+
+    def of_signs(*given: Any, **options: Any) -> tuple[list[Any], list[Any]]:
+        """Rivals of other kinds are compared in tests/oed/checks."""
+        every = itertools.chain(*ranked(*given, **options))
+        return [one for one in every if one.trial.kind == "sign"], []
+
+    monkeypatch.setattr(explain, "candidates", of_signs)
+    turned = readings.with_y(2.0 * bar_readings.LENGTH - readings.y)
+    assert identify(tmp_path, turned) == 1
+    out = capsys.readouterr().out
+    first = "The readings look mistaken: the sign of the deviations of length_mm"
+    lines = out.splitlines()
+    stages = lines.index("report") + 1
+    assert lines[stages].startswith(first)
+    assert "The predicted accuracy is withheld" in out
+    result = json.loads((tmp_path / "fit/result.json").read_text())
+    assert result["prediction"] is None
+    assert result["goodness"]["bad_fit"]
+    assert "is reversed" in result["goodness"]["mistakes"][0]["what"]
+    page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
+    assert 0 < page.index(first) < page.index('id="identif')
+
+
+def test_an_outlier_is_named_and_set_aside(tmp_path, capsys):
+    readings = bar_readings.a3_readings(0)
+    y = readings.y.copy()
+    y[17] += 50 * bar_readings.SIGMA
+    assert identify(tmp_path, readings.with_y(y), WITHOUT_REPORT) == 0
+    assert "Row 19, column length_mm" in capsys.readouterr().out
+    result = json.loads((tmp_path / "fit/result.json").read_text())
+    assert [o["row"] for o in result["goodness"]["outliers"]] == [19]
+    assert result["estimate"]["readings"] == len(y) - 1
+    assert result["prediction"] is not None

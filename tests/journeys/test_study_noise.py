@@ -1,9 +1,12 @@
-"""`[noise]` of a study: amounts that are stated, what they change, what is refused."""
+"""`[noise]`, `[[prior.correlated]]` and `effects` of a study: what they change, what is refused."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import bad_fit_sample
 import bar_readings
+import numpy as np
 import pytest
 import sample
 
@@ -95,3 +98,176 @@ def test_a_stated_law_is_narrower_and_reported(tmp_path):
     pairs = list(zip(wide, narrow, strict=True))
     assert all(stated < 1.05 * unknown for unknown, stated in pairs)
     assert sum(stated < 0.95 * unknown for unknown, stated in pairs) >= 3
+
+
+LEGS = '[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.9\n\n'
+
+
+def prior(lines: str) -> str:
+    return sample.changed(sample.STUDY, ("[design]", lines + "[design]"))
+
+
+def test_legs_of_one_batch_are_correlated():
+    resolved = sample.resolved(prior(LEGS))
+    m = resolved.measurement_with(resolved.setups)
+    covariance = m.prior_covariance
+    legs = [m.names.index(f"dq{k}") for k in (1, 2, 3)]
+    block = covariance[np.ix_(legs, legs)] / m.tolerance[legs[0]] ** 2
+    assert block == pytest.approx(0.1 * np.eye(3) + 0.9)
+    others = [k for k in range(len(covariance)) if k not in legs]
+    assert not covariance[np.ix_(legs, others)].any()
+
+
+def test_later_tables_win():
+    pair = LEGS.replace('"dq*"', '"dq1", "dq2"').replace("0.9", "0.5")
+    resolved = sample.resolved(prior(LEGS.replace("0.9", "0.6") + pair))
+    m = resolved.measurement_with(resolved.setups)
+    first, second, third = (m.names.index(f"dq{k}") for k in (1, 2, 3))
+    assert m.correlation[first, second] == 0.5
+    assert m.correlation[first, third] == 0.6
+
+
+REFUSED_PRIORS = {
+    LEGS.replace("0.9", "1.0"): "correlation = 1",
+    LEGS.replace("0.9", "-0.6"): "no errors have such correlations",
+    LEGS.replace('"dq*"', '"dr*"'): "no parameter has this name",
+    LEGS.replace('"dq*"', '"dq1"'): "fewer than two parameters",
+    LEGS.replace('"dq*"', '"cup.*"'): "no parameter has this name",
+}
+
+
+@pytest.mark.parametrize("lines", list(REFUSED_PRIORS))
+def test_priors_that_cannot_be_are_refused(lines):
+    error = sample.refused(prior(lines))
+    assert error.field.startswith("prior.correlated[1]")
+    assert REFUSED_PRIORS[lines] in str(error)
+
+
+def test_a_design_for_correlated_legs_counts_them_once(tmp_path):
+    """Legs of one batch are known better before, so that readings gain less."""
+    options = "[readings]\nsimulate = true\n[posterior]\nenabled = false\n[expect]"
+    gains = {}
+    for name, lines in (("independent", ""), ("batch", LEGS)):
+        text = sample.changed(
+            prior(lines),
+            ('criterion = "D"', 'criterion = "D"\nscaling = "tolerance"\nprior = true'),
+            ("[expect]", options),
+        )
+        path = tmp_path / f"{name}.study.toml"
+        path.write_text(text, encoding="utf-8")
+        out = tmp_path / name
+        assert main(["run", str(path), "--quiet", "--out", str(out)]) == 0
+        result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+        (chosen,) = [p for p in result["design"]["plans"] if p["name"] == "chosen"]
+        gains[name] = chosen["logdet"], chosen["value"]
+    # of P, with eigenvalues 1 - 0.9 twice and 1 + 2 * 0.9
+    known = -np.log(0.1 * 0.1 * 2.8)
+    for name, prior_alone in (("independent", 0.0), ("batch", known)):
+        gain, value = gains[name]
+        assert gain == pytest.approx(value - prior_alone, rel=1e-6)
+    assert gains["batch"][0] < gains["independent"][0] - 1.0
+
+
+BOUNDS = '[[prior.bounds]]\nparameters = ["dq1"]\nlower_mm = 0.0\nupper_mm = 2.0\n\n'
+
+
+def test_bounds_are_of_the_value():
+    resolved = sample.resolved(prior(BOUNDS))
+    m = resolved.measurement_with(resolved.setups)
+    first = m.names.index("dq1")
+    assert m.bounds[first] == pytest.approx([0.0, 2e-3])
+    assert list(m.bounded) == [first]
+
+
+BOUNDS_REFUSED = {
+    BOUNDS.replace("upper_mm", "upper"): "the unit is missing",
+    BOUNDS.replace("upper_mm", "upper_deg"): "no unit for upper",
+    BOUNDS.replace("lower_mm = 0.0", "lower_mm = 1.0"): "is not within",
+    BOUNDS.replace("lower_mm = 0.0\nupper_mm = 2.0\n", ""): "give lower, upper, or both",
+    BOUNDS.replace("2.0", "0.01"): "of the machines of the tolerances keep",
+    BOUNDS.replace('"dq1"', '"dq*", "beta*"'): "parameters of different kinds",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lines", list(BOUNDS_REFUSED))
+def test_bounds_that_cannot_be_are_refused(lines):
+    error = sample.refused(prior(lines))
+    assert error.field.startswith("prior.bounds")
+    assert BOUNDS_REFUSED[lines] in str(error)
+
+
+def run(folder: Path, lines: str) -> dict[str, Any]:
+    """Result of a fit of two ball bars on an independent head."""
+    folder.mkdir()
+    rigid = '[identify]\neffects = "none"\n'
+    text = sample.changed(bad_fit_sample.WITHOUT_REPORT, (rigid, "")) + lines
+    study, readings = bad_fit_sample.write(folder, bar_readings.a3_readings(0), text)
+    return identified(study, readings)[0]
+
+
+def identified(study: Path, readings: Path) -> tuple[dict[str, Any], int]:
+    """Result and exit code."""
+    folder = study.parent
+    out = folder / "out"
+    code = main(
+        ["identify", str(study), "--readings", str(readings), "--out", str(out)]
+    )
+    return json.loads((out / "result.json").read_text()), code
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Without the field, and without effects."""
+    folder = tmp_path_factory.mktemp("effects")
+    lines = {"default": "", "none": '\n[identify]\neffects = "none"\n'}
+    return {name: run(folder / name, text) for name, text in lines.items()}
+
+
+def test_readings_of_a_machine_are_asked_by_default(results):
+    """Which effects act, unless the study keeps them out."""
+    assert results["none"]["gap"] is None
+    assert results["default"]["gap"]["mixture"] is not None
+    for section in ("estimate", "prediction", "goodness"):
+        assert results["none"][section] == results["default"][section]
+    asked = (sample.STUDY, f'{sample.STUDY}\n[identify]\neffects = "catalogue"\n')
+    default, every = (
+        [effect.name for effect in sample.resolved(text).diagnosed.effects]
+        for text in asked
+    )
+    assert default == every
+
+
+def test_small_effects_widen_the_accuracy_by_their_evidence(results):
+    """A rigid head: the rigid answer leads, and small effects count beside it."""
+    mixture = results["default"]["gap"]["mixture"]
+    nothing = {
+        a["unseen"]: a["probability"] for a in mixture["answers"] if not a["effects"]
+    }
+    assert nothing[False] > nothing[True] > 0.0
+    without = results["none"]["prediction"]["components"]
+    ratio = [
+        c["after"]["rms"] / without[name]["after"]["rms"]
+        for name, c in mixture["prediction"]["components"].items()
+        if c["compensatable"]
+    ]
+    assert 1.0 < np.median(ratio) < 1.5
+
+
+def test_a_name_that_is_no_effect_is_refused():
+    text = sample.changed(
+        sample.STUDY, ("[noise]", "[identify]\neffects = 3\n\n[noise]")
+    )
+    assert "effects" in sample.refused(text).field
+
+
+@pytest.mark.parametrize("table", ["design", "plan", "identify"])
+def test_a_check_names_a_misspelt_effect(tmp_path, capsys, table):
+    text = 'schema = 1\nname = "slip"\n[machine]\nmodel = "planar_2dof"\n'
+    text += '[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
+    path = tmp_path / "slip.study.toml"
+    effects = f'[{table}]\neffects = ["{{}}"]\n'
+    path.write_text(text + effects.format("backlash"))
+    assert main(["check", str(path)]) == 0
+    path.write_text(text + effects.format("backlsh"))
+    assert main(["check", str(path)]) == 2
+    assert f'{table}.effects[1] = "backlsh"' in capsys.readouterr().err

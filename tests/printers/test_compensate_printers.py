@@ -1,10 +1,11 @@
-"""`oed compensate` for delta printers: the firmware of the oracle reads the file."""
+"""`oed compensate` for delta printers: the firmware of the oracle reads what is printed."""
 
 from pathlib import Path
 
 import compensation_sample as sample
 import numpy as np
 import pytest
+from delta_sessions import fitted, heights_of, measurement, sessions
 from oracles import delta_trilateration as delta
 from oracles.firmware import marlin, rrf
 from oracles.firmware.geometry import Firmware
@@ -14,6 +15,7 @@ from shipped_models import linear_delta
 
 from oed.compensate import compensated_joints
 from oed.mechanism import Kinematics
+from pkm_studies.commands import main
 
 #: an identified delta: radius, arms, angles, endstops
 DELTA = linear_delta.machine.nominal + np.array(
@@ -175,3 +177,28 @@ def test_the_family_is_written_where_its_parameters_allow(oed, tmp_path, rng):
     assert "the towers have three: radius1 162.050, radius2 162.050" in err
     assert "linear_delta" in err
     assert oed("compensate", uneven, "--to", "csv")[0] == 0
+
+
+machine = linear_delta.machine
+
+__all__ = ["measurement", "sessions"]  # fixtures
+
+
+@pytest.mark.parametrize("name", ["S03", "S04"])
+def test_klippers_residuals_agree_to_the_printed_digits(
+    measurement, sessions, tmp_path, name
+):
+    """The heights that Klipper, with our file, believes in where its carriages were."""
+    session = sessions[name]
+    fit = fitted(measurement, session)
+    folder = sample.save(tmp_path, sample.result(machine, fit.theta[:10]))
+    assert main(["compensate", str(folder), "--to", "klipper"]) == 0
+    text = (folder / "compensation.cfg").read_text("utf-8")
+    printer = Klipper(example()).apply(text).geometry
+    point = printer.tool(1e3 * session.contacts)
+    offset = fit.theta[list(measurement.names).index(f"{name}_probe.offset")]
+    read = measurement.readings([heights_of(measurement, session)], fit.theta)
+    assert point[:, 2] == pytest.approx(1e3 * (read - offset), abs=3e-6)
+    # the residuals are those of a good fit, not of a wrong geometry
+    residual = 1e3 * session.heights - point[:, 2]
+    assert np.std(residual) < 0.06

@@ -1,12 +1,13 @@
 """Logs whose lines carry times: read in the order of time, or refused."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pkm_printers import gcode
+from pkm_printers import facts, gcode, klipper_config
 from pkm_studies.base import InputError
 
 #: an answer before calibration, then the one after it, with seconds between them
@@ -131,3 +132,21 @@ def test_a_console_of_reprap_firmware_gives_the_geometry_of_its_heights(oed, tmp
     # 261.082 + sqrt(288.1^2 - 124.601^2) less the same root: the adjustment alone
     assert "radius 124.601 mm" in out
     assert "endstops at 261.292, 260.902, 261.052 mm" in out
+
+
+SOON = 5.0  #: s; this took minutes where time grew with the square
+
+
+def test_lines_of_blanks_and_brackets_take_no_longer_than_others(tmp_path):
+    blanks = " " * 100_000
+    printer = tmp_path / "printer.cfg"
+    printer.write_text(f"[printer{blanks}x{blanks}\n[printer]\nkey{blanks}y\nz: 1\n")
+    start = time.perf_counter()
+    config = klipper_config.read([printer])
+    assert config.number("printer", "z") == 1.0
+    line = gcode.TextLine(f"probe_radius_mm = 8{blanks}0{blanks}", "log", 1)
+    with pytest.raises(InputError, match="not a finite number"):
+        facts.numbers([line])
+    open_brackets = gcode.TextLine("G1 A{" * 20_000, "log", 1)
+    assert len(list(gcode.commands([open_brackets]))) == 20_000
+    assert time.perf_counter() - start < SOON

@@ -1,6 +1,6 @@
-"""Sensors on passive joints and constraints: slopes and ranks against closures written
-anew (`constraint_machines`), what leads a locked machine, and the advice on sensors.
-"""
+"""Sensors on passive joints and constraints: slopes and ranks, and calibrations from them."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -12,20 +12,30 @@ from constraint_machines import (
     OWN_SLOPES,
     SEAT,
     SETUP_SCALE,
+    angles,
     external_slopes,
     hexapod_lengths,
+    lengths,
     locked_poses,
+    probes,
     rank_of,
     seat_slopes,
     sensor_slopes,
     turned,
 )
+from scipy.optimize import brentq
 from shipped_models import hexapod
 
+from oed.dataset import ReadingsError, from_series, load, to_csv
+from oed.estimation import identify
 from oed.identifiability import Assessment, recoveries
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
+from oed.mechanism import Kinematics
 from pkm_models.instruments import camera, passive_joint, seat, touch_plane
+from pkm_reports.page.sheet import _table
+from pkm_studies.commands import main
+from pkm_studies.stages.design.section import planned_readings
 
 #: the joints of the legs, in the machine's order
 JOINTS = [f"{kind}{i}" for i in (1, 2, 3) for kind in ("swing", "side")]
@@ -138,3 +148,167 @@ def test_sensors_are_suggested_where_they_help_alone():
     together = [both.series(name, GRID) for name in both.setups]
     advice = recoveries(Assessment.of(both, together), {})
     assert not any(phrase in text for text in advice)
+
+
+NORMAL95 = 1.959964
+
+
+def named_lock(name: str) -> Setup:
+    instrument = passive_joint.locked.for_machine(CMM)
+    return mount(instrument.take_channels(["off_swing1"]), name)
+
+
+# -- simulated machines that are calibrated -------------------------------------------------
+def drawn(measurement: Measurement, rng: np.random.Generator) -> np.ndarray:
+    """Parameters (n,) of a machine and its set-ups, from the tolerances."""
+    return measurement.nominal + measurement.tolerance * rng.standard_normal(
+        len(measurement.names)
+    )
+
+
+def calibrate_sensors(rng: np.random.Generator) -> np.ndarray:
+    measurement = MEASUREMENTS["sensors"]
+    truth = drawn(measurement, rng)
+    q = lengths(GRID, CMM.nominal)
+    theta_k = angles(probes(q, truth[:15]), truth[:15])
+    home = angles(np.array([[0.0, 0.0, -0.2]]), CMM.nominal)[0]
+    y = theta_k + truth[15::2] + truth[16::2] * (theta_k - home)
+    y += 5e-6 * rng.standard_normal(y.shape)
+    return pulls(measurement, q, y, truth)
+
+
+def calibrate_plate(rng: np.random.Generator) -> np.ndarray:
+    """The joints are those of the machine as it is, with its probe on the plate."""
+    measurement = MEASUREMENTS["plate"]
+    truth = drawn(measurement, rng)
+    offset, tilt_x, tilt_y = truth[15:]
+    x, y, _ = GRID.T
+    z = -0.2 + offset + tilt_x * y - tilt_y * x + 1e-6 * rng.standard_normal(len(x))
+    q = lengths(np.column_stack([x, y, z]), truth[:15])
+    return pulls(measurement, q, np.zeros(len(q)), truth)
+
+
+def calibrate_lock(rng: np.random.Generator) -> np.ndarray:
+    """The x of each pose is where the true leg 1 swings as locked, within its play."""
+    measurement = MEASUREMENTS["lock"]
+    truth = drawn(measurement, rng)
+    at = measurement.setups["lock"].settings["at_swing1"] + truth[15]
+    points = []
+    for y, z in itertools.product([-0.03, 0.0, 0.03], [-0.23, -0.2, -0.17]):
+        wanted = at + 20e-6 * rng.standard_normal()
+
+        def off(x: float, y: float = y, z: float = z, to: float = wanted) -> float:
+            return float(angles(np.array([[x, y, z]]), truth[:15])[0, 0] - to)
+
+        points.append([brentq(off, -0.1, 0.1, xtol=1e-13), y, z])
+    q = lengths(np.array(points), truth[:15])
+    return pulls(measurement, q, np.zeros(len(q)), truth)
+
+
+def pulls(
+    measurement: Measurement, q: np.ndarray, y: np.ndarray, truth: np.ndarray
+) -> np.ndarray:
+    """Errors (n,) of an estimate over its standard deviations."""
+    name = next(iter(measurement.setups))
+    series = measurement.series_from_joints(name, q)
+    estimate = identify(measurement, [series], y.ravel())
+    return np.asarray((estimate.theta - truth) / estimate.sd)
+
+
+_CMM_KINEMATICS = Kinematics(CMM)
+MEASUREMENTS = {
+    "sensors": Measurement(CMM, [sensors()], _CMM_KINEMATICS),
+    "plate": Measurement(CMM, [mount(touch_plane.instrument, "plate", at=-0.2)], _CMM_KINEMATICS),
+    "lock": Measurement(CMM, [named_lock("lock")], _CMM_KINEMATICS),
+}  # fmt: skip
+CALIBRATIONS = {
+    "sensors": calibrate_sensors, "plate": calibrate_plate, "lock": calibrate_lock,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_intervals_hold_over_40_machines(name):
+    rng = np.random.default_rng(11)
+    errors = np.array([CALIBRATIONS[name](rng) for _ in range(40)])
+    share = float((np.abs(errors) <= NORMAL95).mean())
+    print(name, "share", round(share, 3), "rms pull", np.sqrt((errors**2).mean()))
+    assert 0.92 <= share <= 0.98
+    assert np.abs(errors).max() < 5.0
+
+
+# -- files ---------------------------------------------------------------------------------
+def planned() -> tuple[Measurement, str]:
+    """A sheet to fill in of a locked joint and of sensors."""
+    measurement = Measurement(CMM, [named_lock("lock1"), sensors()])
+    series = [
+        measurement.series("lock1", locked_poses(0)),
+        measurement.series("sensors", GRID[:2]),
+    ]
+    y = np.full(len(series[0]) + 6 * len(series[1]), np.nan)
+    return measurement, to_csv(from_series(series, y, measurement))
+
+
+def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path):
+    measurement, text = planned()
+    header, *rows = [line.split(",") for line in text.splitlines()]
+    assert "off_swing1_deg" not in header
+    joints = [header.index(f"q{k}_mm") for k in (1, 2, 3)]
+    assert all(row[k] == "" for row in rows for k in joints)
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text(text)
+    with pytest.raises(ReadingsError, match="no reading was taken"):
+        load(sheet, measurement)
+    # two of the poses were measured
+    q = 1e3 * lengths(locked_poses(0)[:2], CMM.nominal)
+    for row, values in zip(rows[:2], q, strict=True):
+        for k, value in zip(joints, values, strict=True):
+            row[k] = f"{value:.9f}"
+    lines = [",".join(row) for row in [header, *rows]]
+    sheet.write_text("\n".join(lines) + "\n")
+    data = load(sheet, measurement)
+    assert data.setups == ("lock1",)
+    assert data.y.tolist() == [0.0, 0.0]
+    assert 1e3 * data.series[0].q == pytest.approx(q, abs=1e-8)
+    assert data.dropped == 9  # seven poses with the lock, two of the sensors
+
+
+def test_simulated_constraints_come_back_as_they_were(tmp_path):
+    measurement = Measurement(CMM, [named_lock("lock1")])
+    series = measurement.series("lock1", locked_poses(0))
+    y = 1e-4 * np.arange(1.0, 10.0)
+    sheet = tmp_path / "simulated.csv"
+    sheet.write_text(to_csv(from_series([series], y, measurement)), "utf-8")
+    again = load(sheet, measurement)
+    assert again.y == pytest.approx(y, abs=1e-12)
+
+
+# -- commands ------------------------------------------------------------------------------
+def test_a_lock_without_its_joint_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    main(["new", "lock", "--machine", "a3_head", "--instrument", "locked_joint"])
+    study = tmp_path / "lock.study.toml"
+    lines = study.read_text().splitlines()
+    study.write_text("\n".join(x for x in lines if not x.startswith("channels")) + "\n")
+    assert main(["check", str(study)]) == 2
+    assert 'write channels = ["off_swing1"]' in capsys.readouterr().err
+    new = ["new", "s", "--machine", "micro_cmm", "--instrument", "seat"]
+    assert main(new) == 2
+    assert "it could not move" in capsys.readouterr().err
+
+
+def test_the_plan_of_a_constraint_records_its_joints():
+    """On the printed sheet the joints are cells to write in; sensors keep their own."""
+    measurement, _ = planned()
+    series = [
+        measurement.series("lock1", locked_poses(0)),
+        measurement.series("sensors", GRID[:1]),
+    ]
+    *locked, read = planned_readings(measurement, series)
+    q = 1e3 * lengths(locked_poses(0), CMM.nominal)
+    for row, values in zip(locked, q, strict=True):
+        assert list(row.reading) == ["q1_mm", "q2_mm", "q3_mm"]
+        assert list(row.reading.values()) == pytest.approx(values, abs=1e-4)
+    assert "swing1_deg" in read.reading
+    table = _table("lock1", {}, locked, len(locked), ())
+    assert table["writing"] == 3
+    assert len(table["titles"]) == 1 + 3 + 3  # number, command, joints

@@ -1,12 +1,21 @@
-"""Readings taken at other poses, and changed commands, against the oracle's head."""
+"""Readings at other poses, joints at a stop and orders of rows, against the oracle."""
+
+import dataclasses
+import itertools
+from types import SimpleNamespace
 
 import blunder_machines as machines
 import numpy as np
+import pandas as pd
 import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head
 
+from kernel import a3_plans, warm_head
+from kernel.warm_head import turned
+from oed import checks
 from oed.checks.mistakes import Suspect
+from oed.checks.mistakes.joints import _likely_stops, likely_orders
 from oed.checks.mistakes.moved import (
     change_column,
     commanded,
@@ -22,8 +31,9 @@ from oed.checks.mistakes.moved import (
     turns_freely,
     wrapped,
 )
+from oed.checks.sentences import contradictions
 from oed.checks.session import SessionReadings
-from oed.measurement import Series
+from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 
 MACHINE = a3_head.machine
@@ -132,3 +142,84 @@ def test_a_table_has_what_the_nominal_machine_reads(session):
         pairs = points[series.index[:, 0]] - points[series.index[:, 1]]
         predicted.append(np.linalg.norm(pairs, axis=1))
     assert table.predicted == pytest.approx(np.concatenate(predicted), abs=1e-9)
+
+
+TRAVEL = np.array([0.3, 0.9, 0.1, 0.7, 0.5, 0.8, 0.2, 0.6, 0.4])
+
+
+def stops(far: np.ndarray, sign: float) -> list[float]:
+    """Likely stops of sign * TRAVEL where these of its readings are ten sigma off."""
+    session = SimpleNamespace(
+        joints=sign * TRAVEL[:, None],
+        y=np.where(far, 10.0, 1.0),
+        reading_of_value=np.arange(len(TRAVEL)),
+    )
+    data = SimpleNamespace(session=session, predicted=np.zeros(9), spread=np.ones(9))
+    return _likely_stops(data, 0, sign)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stop_lies_between_readings_that_fit_and_those_beyond(sign):
+    between, lowest = stops(TRAVEL > 0.75, sign)
+    assert between * sign == pytest.approx(0.75)
+    assert lowest * sign == pytest.approx(0.7)
+    one_fits = (TRAVEL > 0.65) & (TRAVEL != 0.8)
+    assert sign * stops(one_fits, sign)[0] == pytest.approx(0.65)
+
+
+@pytest.mark.parametrize("far", [TRAVEL < 0.25, TRAVEL > 0.55, TRAVEL > 1.0])
+def test_no_stop_at_the_other_end_nor_of_many_nor_of_none(far):
+    assert stops(far, 1.0) == []
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 6])
+def test_orders_of_joints_are_turns_reflections_and_exchanges(count):
+    """A symmetric search: each order is tried once, and so is what undoes it."""
+    orders = likely_orders(count)
+    steps = np.arange(count)
+    wanted = {tuple(np.roll(steps[::way], k)) for k in steps for way in (1, -1)}
+    for i, k in itertools.combinations(steps, 2):
+        swapped = steps.copy()
+        swapped[[i, k]] = k, i
+        wanted.add(tuple(swapped))
+    assert set(orders) == wanted - {tuple(steps)}
+    assert len(set(orders)) == len(orders)
+    assert {tuple(np.argsort(order)) for order in orders} == set(orders)
+
+
+def directed_session(m, series, rows):
+    return checks.session_readings(m, [series], np.zeros(len(rows)), rows)
+
+
+@pytest.fixture(scope="module")
+def planned() -> tuple[Measurement, Series, pd.DataFrame]:
+    m = a3_plans.measurement()
+    return (m, *warm_head.planned(m))
+
+
+def test_order_and_direction_go_together(planned):
+    assert not contradictions(directed_session(*planned))
+    m, series, rows = planned
+    assert not contradictions(
+        directed_session(m, series, rows.drop(columns="direction"))
+    )
+    outlined = dataclasses.replace(directed_session(*planned)).without([3, 40, 41])
+    assert not contradictions(outlined)
+
+
+def test_a_wrong_direction_contradicts_every_run_of_the_same_circle(planned):
+    m, series, rows = planned
+    wrong = np.where(rows["run"] == "80-1", 1, rows["direction"])
+    pairs = contradictions(directed_session(m, series, rows.assign(direction=wrong)))
+    assert len(pairs) == 5
+    assert all("80-1" in pair.runs for pair in pairs)
+    assert {pair.same_order for pair in pairs} == {True, False}
+
+
+def test_rows_sorted_by_angle_are_found(planned):
+    """Runs both ways, written in the order of the angle: the order is not that of travel."""
+    m, series, rows = planned
+    backward = [r for r in dict.fromkeys(rows["run"]) if int(r[-1]) % 2]
+    found = contradictions(directed_session(m, series, turned(rows, backward)))
+    assert len(found) == 2 * 3 * 3
+    assert all(pair.same_order for pair in found)

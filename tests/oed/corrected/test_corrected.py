@@ -1,8 +1,4 @@
-"""Parameters and effects estimated together, on A3 heads of the oracle.
-
-The oracle's machine has a leg that grows with its temperature and a drive with play,
-written here by hand; neither comes from the toolkit's effects.
-"""
+"""Parameters and effects estimated together, on A3 heads of the oracle."""
 
 import dataclasses
 
@@ -12,7 +8,7 @@ from oracles import a3_geometry as a3
 from scipy.interpolate import RegularGridInterpolator
 from shipped_models import backlash, leg_thermal
 
-from kernel import a3_plans
+from kernel import a3_plans, corrected_cases, corrected_machines, warm_head
 from kernel.warm_head import (
     NOISE,
     PER_KELVIN,
@@ -22,6 +18,7 @@ from kernel.warm_head import (
     planned,
     read,
     travel_sense,
+    turned,
 )
 from oed import compensate
 from oed.compensate import GridAxis
@@ -221,3 +218,49 @@ def test_tables_are_as_fine_as_the_growth_of_the_leg_needs(measured):
     assert 0.5 < share < 1.5
     assert warm.interpolation["q2"] == pytest.approx(share * lost, rel=0.1)
     assert lost > 0.1
+
+
+EFFECTS = [leg_thermal.effect, backlash.effect]
+
+
+def corrected(seed: int, runs: list[str]) -> CorrectedEstimate:
+    m = a3_plans.measurement()
+    rng = np.random.default_rng([seed, 26])
+    series, rows = warm_head.planned(m)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    y = warm_head.read(series, rows, truth, rng)
+    theta = identify(m, [series], y).theta
+    given = EffectReadings(m, (series,), y, turned(rows, runs))
+    estimate = given.estimate(EFFECTS, theta, estimate_noise=False)
+    assert estimate is not None
+    return estimate
+
+
+@pytest.mark.parametrize(("seed", "runs"), [(0, ["80-1"]), (1, [])])
+def test_turned_runs_are_named(seed, runs):
+    result = corrected(seed, runs).turned_runs()
+    if not runs:
+        assert result is None
+        return
+    assert [run for _, run in result.runs] == runs
+    assert result.after < 0.75 * result.before
+
+
+def test_a_planar_machine_is_as_far_off_as_predicted():
+    found = corrected_machines.coverage(corrected_cases.planar_case(), 2, 3)
+    assert (np.abs(found.error) < 5.0 * found.sd).all()
+    assert (found.ratio < 2.5).all()
+
+
+@pytest.mark.parametrize(("name", "most"), [
+    ("planar_2dof", 0), ("linear_delta", 0), ("a3_head", 0), ("a3_turning", 12),
+])  # fmt: skip
+def test_joints_arrive_in_the_sense_of_the_path(name, most):
+    """As the oracle's path says, but where a leg stands almost still at its turn."""
+    case = corrected_cases.CASES[name]()
+    session, m = corrected_machines.planned(case), case.measurement
+    y = m.readings([session.series], m.nominal)
+    readings = EffectReadings(m, (session.series,), y, session.rows)
+    (state,) = readings.problem(m.nominal).states
+    read = session.series.index[:, 0]
+    assert np.sum(state.motion_sign[read] != session.sense) <= most

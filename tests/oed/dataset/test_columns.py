@@ -1,10 +1,13 @@
-"""Columns, dialects and rows of a readings file, part by part."""
+"""Columns, dialects and rows of a readings file, also as spreadsheets save them."""
 
+import codecs
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import sample
 from shipped_models import (
     a3_head,
     ball_bar,
@@ -15,9 +18,9 @@ from shipped_models import (
 )
 
 from oed.base import consecutive_slices
-from oed.dataset import columns, csv_input, data, table
+from oed.dataset import ReadingsError, columns, csv_input, data, table
 from oed.dataset.csv_input import with_stretch
-from oed.dataset.readings_file import ReadingsError, ReadingsFile
+from oed.dataset.readings_file import ReadingsFile
 from oed.dataset.table import check_rows
 from oed.instrument import mount
 from oed.measurement import Measurement
@@ -161,3 +164,71 @@ def test_cables_that_stretch_are_longer_than_paid_out():
     np.testing.assert_allclose(stretched.q - series.q, wanted, atol=1e-9)
     assert m.kinematics.forward(*at[1:], at[0]) == pytest.approx(at[0], abs=1e-9)
     np.testing.assert_array_equal(with_stretch(m, series, 0.0 * tension).q, series.q)
+
+
+PLAIN = sample.READINGS
+GERMAN = PLAIN.replace(",", ";").replace(".", ",")
+
+
+def frame(path: Path, content: bytes) -> pd.DataFrame:
+    path.write_bytes(content)
+    return table.read(path).frame.drop(columns=table.FILE)
+
+
+def with_remarks(text: str, separator: str) -> str:
+    """A remark column, an unnamed empty one, and no cells for them from row 4 on."""
+    lines = text.splitlines()
+    ends = ["remark", "bar warm, door open", "", None, None]
+    changed = []
+    for line, end in zip(lines, ends, strict=True):
+        cell = "" if end is None else f'{separator}"{end}"{separator}'
+        changed.append(line + cell)
+    return "\r\n".join(changed) + "\r\n"
+
+
+WRITTEN = {
+    "semicolons": GERMAN.encode(),
+    "byte order mark": codecs.BOM_UTF8 + GERMAN.encode(),
+    "tabs": PLAIN.replace(",", "\t").replace(".", ",").encode(),
+    "UTF-16": GERMAN.replace(";", "\t").encode("utf-16"),
+    "named separator": b"sep=;\r\n" + GERMAN.replace("\n", "\r\n").encode(),
+    "quoted": GERMAN.replace("300,001", '"300,001"').encode(),
+    "remarks": with_remarks(GERMAN, ";").encode(),
+    "remarks and commas": with_remarks(PLAIN, ",").encode(),
+    "trailing cells": GERMAN.replace("\n", ";;\n").encode(),
+    "points": PLAIN.replace(",", ";").encode(),
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_spreadsheet_gives_the_same_readings(name, tmp_path):
+    expected = frame(tmp_path / "plain.csv", PLAIN.encode())
+    assert expected["length"].to_numpy()[0] == pytest.approx(0.300001)
+    got = frame(tmp_path / "excel.csv", WRITTEN[name])
+    pd.testing.assert_frame_equal(got, expected)
+
+
+@pytest.mark.parametrize(("text", "where", "words"), [
+    (GERMAN.replace("300,001", "1.300,001"), "row 2, column length_mm", "thousand"),
+    (GERMAN.replace("300,001", "300,0,1"), "row 2, column length_mm", "300,0,1"),
+    (PLAIN.replace("300.001", '"300,001"'), "row 2, column length_mm", "point"),
+    (GERMAN.replace("300,001", "300,001;loose"), "row 2", "11 cells"),
+    (GERMAN.replace(";300,001", ""), "row 2", "9 cells"),
+    (GERMAN.replace("\n", ";\n").replace("300,001;", "300,001;loose"), "row 2, column", "name it in the header"),
+    (GERMAN.replace("setup;", "sets;"), "row 1, column setup", "missing"),
+])  # fmt: skip
+def test_what_is_ambiguous_is_refused(text, where, words, tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ReadingsError) as error:
+        table.read(path)
+    assert where in str(error.value)
+    assert words in str(error.value)
+
+
+def test_remarks_may_be_numbered_and_are_not_read(tmp_path):
+    lines = PLAIN.splitlines()
+    text = "\n".join([f"{lines[0]},remark,Remark_2", *[f"{x},a,1" for x in lines[1:]]])
+    got = frame(tmp_path / "r.csv", text.encode())
+    assert not any("remark" in str(column).lower() for column in got.columns)
+    assert np.isfinite(got["length"].to_numpy()[0])

@@ -1,4 +1,4 @@
-"""The fitter: closed forms, scipy as an oracle, and machines that do not disturb others."""
+"""The fitter: closed forms, scipy as an oracle, steps that close, many machines at once."""
 
 import dataclasses
 from collections.abc import Callable
@@ -6,9 +6,20 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy import optimize
+from shipped_models import linear_delta, planar_2dof, pose_tracker
 
-from oed.estimation import Minima, minimise
+from oed.estimation import (
+    IdentificationError,
+    Minima,
+    identification,
+    identify,
+    minimise,
+)
+from oed.estimation.coordinates import ReadingsProblem
+from oed.estimation.fit_stages import ReadingsFit
 from oed.estimation.fitter import READINGS_TOLERANCE, _Steps
+from oed.instrument import mount
+from oed.measurement import Measurement
 from oed.mechanism import AssemblyError
 
 
@@ -165,3 +176,65 @@ class Rounded:
 
     def slopes(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.zeros((*self.values[machines].shape, z.shape[1]))
+
+
+position = pose_tracker.position
+
+
+def test_a_step_to_parameters_that_do_not_close_is_halved():
+    """With all lengths turned over nothing closes; near the start all does."""
+    measurement = Measurement(linear_delta.machine, [mount(position, "tracker")])
+    home = linear_delta.machine.home_command
+    series = [measurement.series("tracker", home[None])]
+    y = measurement.readings(series, measurement.nominal)
+    fit = ReadingsFit(measurement, series, y, measurement.noise(series), 20)
+    start = measurement.nominal
+    wanted = -2.0 * start
+    assert not np.isfinite(measurement.try_readings(series, wanted)).all()
+    reached = fit.closing(start, wanted)
+    assert np.isfinite(measurement.try_readings(series, reached)).all()
+    share = (reached - start)[start != 0.0] / (wanted - start)[start != 0.0]
+    assert share == pytest.approx(np.full_like(share, share[0]))
+    assert np.log2(share[0]) == pytest.approx(round(np.log2(share[0])))
+    assert not np.isfinite(
+        measurement.try_readings(series, start + 2.0 * (reached - start))
+    ).all()
+    near = start * (1.0 + 1e-6)
+    assert fit.closing(start, near) == pytest.approx(near, abs=0.0)
+
+
+def test_a_pose_that_fails_in_a_step_is_no_fault_of_the_data(monkeypatch):
+    measurement = Measurement(linear_delta.machine, [mount(position, "tracker")])
+    home = linear_delta.machine.home_command
+    series = [measurement.series("tracker", home + 0.01 * np.eye(3)[[0, 1, 2, 0]])]
+    y = measurement.readings(series, measurement.nominal)
+
+    def fails(*_: object) -> None:
+        raise AssemblyError("check joint values and their unit", np.arange(4))
+
+    monkeypatch.setattr(identification, "last_stage", fails)
+    with pytest.raises(IdentificationError, match="has a pose at the start") as error:
+        identify(measurement, series, y)
+    assert "joint values" not in str(error.value)
+
+
+COMMAND = np.array([[0.0, 0.5], [1.0, 0.4], [-0.8, 1.1]])
+
+
+def problem(rng: np.random.Generator) -> ReadingsProblem:
+    """Two gantries, read at three places, over four directions of all parameters."""
+    m = Measurement(planar_2dof.machine, [mount(position, "tracker")])
+    series = [m.series("tracker", COMMAND)]
+    origin = m.nominal + m.tolerance * rng.standard_normal((2, len(m.nominal)))
+    basis = m.tolerance[:, None] * rng.standard_normal((len(m.nominal), 4))
+    noise = m.noise(series)
+    y = m.readings(series, origin) + 1e-5 * rng.standard_normal((2, len(noise.sigma)))
+    return ReadingsProblem(m, series, noise, y, origin, basis)
+
+
+def test_magnitude_is_that_of_the_larger_of_reading_and_machine(rng):
+    p = problem(rng)
+    assert p.magnitude.shape == p.y.shape
+    size = p.magnitude * p.noise.sigma
+    assert (size >= np.abs(p.y)).all()
+    assert (size < 2e3).all()

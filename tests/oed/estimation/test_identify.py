@@ -1,5 +1,6 @@
-"""Identification: the linear closed form, the oracle's objective and its machines."""
+"""Identification: the linear closed form, the oracle's objective, many machines at once."""
 
+import functools
 import re
 
 import numpy as np
@@ -14,6 +15,8 @@ from oed.estimation import (
     Estimate,
     IdentifiableCoordinates,
     IdentificationError,
+    fit_machines,
+    identification,
     identify,
 )
 from oed.instrument import mount
@@ -266,3 +269,57 @@ def test_two_set_ups_are_fitted_together():
     h = found.noise.whiten(m.jacobian(series, found.theta)) @ found.coordinates.basis
     precision = np.eye(len(z)) + h.T @ h
     assert z @ precision @ z < len(z) + 5 * np.sqrt(2 * len(z))
+
+
+STAGES = (("dq*",), ("*",))
+
+
+def oracle_sessions(m: Measurement, series: Series, machines: int) -> np.ndarray:
+    """Readings (machines, N) that the oracle makes, with white noise."""
+    rng = np.random.default_rng(3)
+    theta = draw_parameters(m, rng, machines)
+    joints = series.q[series.index[:, 0]]
+    cups = a3.taught_cup(theta[:, :24], theta[:, 24:])
+    exact = a3.ball_bar_reading(theta[:, None, :24], joints, cups[:, None, :])
+    return exact + NOISE * rng.standard_normal(exact.shape)
+
+
+@pytest.mark.parametrize("stages", [(("*",),), STAGES], ids=["at once", "staged"])
+def test_machines_end_where_one_fit_after_the_other_does(bar, stages):
+    m, series = bar
+    y = oracle_sessions(m, series, 4)
+    together = fit_machines(m, [series], y, stages=stages)
+    for theta, readings in zip(together, y, strict=True):
+        alone = identify(m, [series], readings, stages=stages)
+        deviation = np.sqrt(np.diag(alone.covariance))
+        change = np.abs(theta - alone.theta)[m.free] / deviation[m.free]
+        assert change.max() < 1e-4
+
+
+def test_batches_of_any_size_agree(bar, monkeypatch):
+    m, series = bar
+    y = oracle_sessions(m, series, 3)
+    together = fit_machines(m, [series], y)
+    monkeypatch.setattr(identification, "BATCH_ENTRIES", 1)
+    one_by_one = fit_machines(m, [series], y)
+    scale = np.where(m.free, m.tolerance, 1.0)
+    np.testing.assert_allclose(one_by_one / scale, together / scale, rtol=0, atol=1e-6)
+
+
+def test_rounding_at_the_minimum_keeps_no_machine_from_converging(bar, monkeypatch):
+    m, series = bar
+
+    def unneeded(*_: object, **__: object) -> None:
+        raise AssertionError("a machine was fitted alone")
+
+    monkeypatch.setattr(identification, "identify", unneeded)
+    fit_machines(m, [series], oracle_sessions(m, series, 20), stages=STAGES)
+
+
+def test_what_does_not_converge_is_fitted_alone(bar, monkeypatch):
+    m, series = bar
+    y = oracle_sessions(m, series, 1)
+    one_step = functools.partial(identification.minimise, steps=1)
+    monkeypatch.setattr(identification, "minimise", one_step)
+    theta = fit_machines(m, [series], y)[0]
+    assert (theta == identify(m, [series], y[0]).theta).all()

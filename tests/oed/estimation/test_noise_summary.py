@@ -1,21 +1,37 @@
-"""Numbers of an estimated noise law against weighted means by hand."""
+"""Numbers and warnings of a noise law, stated or estimated, and of tolerances too small."""
 
+import json
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import bad_fit_sample
+import bar_readings
 import numpy as np
 import pytest
+import sample
 from scipy import optimize
-from shipped_models import laser_ball_bar, planar_2dof, pose_tracker, prs_spindle
+from shipped_models import (
+    a3_head,
+    laser_ball_bar,
+    planar_2dof,
+    pose_tracker,
+    prs_spindle,
+)
 
 from kernel import a3_plans
 from oed import Measurement, mount
-from oed.estimation import identify, noise_numbers
+from oed.estimation import identify, law_stage, noise_numbers, tolerance_factor
+from oed.estimation.contradictions import ToleranceFactor
+from oed.estimation.estimate import large_residuals
+from oed.estimation.fit_stages import ReadingsFit, last_stage
 from oed.estimation.noise_summary import MIN_RATIO
-from oed.measurement import draw_parameters, reading_structure
+from oed.measurement import draw_parameters, draw_readings, reading_structure
 from oed.noise import Laws
 from oed.noise_law import NoisePrior
+from oed.posterior import LogDensity
+from pkm_studies.commands import main
 
 position = pose_tracker.position
 
@@ -130,3 +146,172 @@ def test_the_scatter_of_a_channel_is_that_of_all_its_sources():
         expected = np.sqrt(variance[structure.group == g].mean())
         unit = 1e-6 if one.unit == "um" else np.deg2rad(1.0 / 3600.0)
         assert one.value * unit == pytest.approx(expected, rel=1e-5)
+
+
+def estimate(ratio: float, posterior: object = None) -> Any:
+    return SimpleNamespace(
+        chi2=40.0 * ratio**2, dof=40.0, noise_posterior=posterior, law_check=None
+    )
+
+
+@pytest.mark.parametrize(("ratio", "posterior", "words"), [
+    (1.2, None, None),
+    (3.0, None, "repeat readings on the spot: what scatters there is noise"),
+    (3.0, "known", "the intervals are as wide as the residuals ask for"),
+    (11.0, None, "or the readings have a mistake"),
+])  # fmt: skip
+def test_the_remedy_follows_from_how_large_they_are(ratio, posterior, words):
+    sentences = large_residuals(estimate(ratio, posterior))
+    if words is None:
+        assert sentences == []
+        return
+    (sentence,) = sentences
+    assert words in sentence
+    assert f"{ratio:.1f} times the stated noise" in sentence
+
+
+machine = planar_2dof.machine
+
+MEASUREMENT = Measurement(machine, [mount(position, "tracker")])
+ACROSS, UP = np.meshgrid(np.linspace(-1.2, 1.2, 9), np.linspace(0.2, 1.3, 8))
+TRACKED = [MEASUREMENT.series("tracker", np.column_stack([ACROSS.ravel(), UP.ravel()]))]
+
+
+def readings_with_wave(amplitude: float) -> np.ndarray:
+    """Readings with a smooth error over the workspace, in stated standard deviations."""
+    rng = np.random.default_rng(1)
+    truth = draw_parameters(MEASUREMENT, rng)
+    y = draw_readings(MEASUREMENT, TRACKED, truth, rng)
+    place = np.repeat((ACROSS + UP).ravel(), len(y) // ACROSS.size)
+    return y + amplitude * MEASUREMENT.sigma(TRACKED) * np.sin(3.0 * place)
+
+
+@pytest.fixture
+def contradicted(monkeypatch):
+    """Every noise law is contradicted, so that readings have their stated weights."""
+    monkeypatch.setattr(law_stage, "P_CONTRADICTED", 2.0)
+
+
+def determined_covariance(estimate):
+    """Covariance of the combinations that the readings determine, in stated tolerances."""
+    dual = identify(MEASUREMENT, TRACKED, readings_with_wave(0.0)).coordinates.dual
+    return dual @ estimate.covariance @ dual.T
+
+
+@pytest.mark.usefixtures("contradicted")
+@pytest.mark.parametrize("amplitude", [5.0, 100.0])
+def test_doubt_of_the_noise_widens_intervals_and_moves_no_value(amplitude):
+    y = readings_with_wave(amplitude)
+    doubted = identify(MEASUREMENT, TRACKED, y, estimate_noise=True)
+    stated = identify(MEASUREMENT, TRACKED, y)
+    moved = (doubted.theta - stated.theta)[MEASUREMENT.free]
+    assert np.abs(moved / stated.sd[MEASUREMENT.free]).max() < 1e-3
+    assert any("stated weights" in warning for warning in doubted.warnings)
+    assert doubted.scatter == pytest.approx(np.sqrt(doubted.chi2 / doubted.dof))
+    factor = doubted.law_check.widening
+    assert factor > 0.5 * np.sqrt(stated.chi2 / stated.dof)
+    wider, alone = (np.diag(determined_covariance(e)) for e in (doubted, stated))
+    assert np.allclose(np.sqrt(wider / alone), factor, rtol=0.02)
+    # what readings tell of a parameter is no matter of the widening
+    assert np.allclose(doubted.shrinkage, stated.shrinkage, atol=0.02)
+
+
+@pytest.mark.usefixtures("contradicted")
+def test_sampled_density_has_the_widened_covariance():
+    y = readings_with_wave(20.0)
+    estimate = identify(MEASUREMENT, TRACKED, y, estimate_noise=True)
+    density = LogDensity(MEASUREMENT, TRACKED, y, estimate)
+    dual = estimate.coordinates.dual
+    expected = dual @ estimate.covariance @ dual.T
+    assert np.allclose(density.root @ density.root.T, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_noise_as_stated_has_its_law():
+    estimate = identify(
+        MEASUREMENT, TRACKED, readings_with_wave(0.0), estimate_noise=True
+    )
+    assert not estimate.law_check.is_contradicted
+    assert estimate.noise_posterior is not None
+    assert estimate.scatter == 1.0
+
+
+def test_a_law_that_does_not_settle_says_so(monkeypatch):
+    stated, y = MEASUREMENT.noise(TRACKED), readings_with_wave(0.0)
+    fit = ReadingsFit(MEASUREMENT, TRACKED, y, stated, 100)
+    first = last_stage(fit, MEASUREMENT.nominal, ("*",))
+    structure, prior = law_stage.structure_and_prior(fit, first)
+    assert law_stage.settle_law(fit, first, structure, prior).has_settled
+    monkeypatch.setattr(law_stage, "MAX_ROUNDS", 1)
+    assert not law_stage.settle_law(fit, first, structure, prior).has_settled
+
+
+head = a3_head.machine
+
+
+def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
+    """Result and study of an independent head whose tolerances are stated with a factor."""
+    folder.mkdir()
+    wide = [
+        p for p in head.parameters if p.tolerance > 0.0 and p.name not in head.frame
+    ]
+    sizes = [("rad", 1.0) if p.unit == "rad" else ("mm", 1e3) for p in wide]
+    lines = [
+        f'[[prior.tolerance]]\nparameters = ["{p.name}"]\n'
+        f"sigma_{unit} = {factor * p.tolerance * scale:.9g}\n"
+        for p, (unit, scale) in zip(wide, sizes, strict=True)
+    ]
+    text = sample.changed(
+        bad_fit_sample.WITHOUT_REPORT, ("[posterior]", "".join(lines) + "\n[posterior]")
+    )
+    study, readings = bad_fit_sample.write(folder, bar_readings.a3_readings(3), text)
+    out = folder / "out"
+    main(["identify", str(study), "--readings", str(readings), "--out", str(out)])
+    return json.loads((out / "result.json").read_text()), text
+
+
+def test_the_fit_is_that_of_tolerances_as_they_are(tmp_path):
+    right, _ = identified(tmp_path / "right", 1.0)
+    small, _ = identified(tmp_path / "small", 0.1)
+    assert any("times as far from nominal" in w for w in small["warnings"])
+    assert not any("as far from nominal" in w for w in right["warnings"])
+    assert not small["goodness"]["bad_fit"]
+    for name, p in right["estimate"]["parameters"].items():
+        other = small["estimate"]["parameters"][name]
+        if p["prior_sd"] > 0.0:
+            assert abs(other["value"] - p["value"]) < 0.5 * p["sd"] + 1e-9
+    for name, c in right["prediction"]["components"].items():
+        after = small["prediction"]["components"][name]["after"]["rms"]
+        assert after == pytest.approx(c["after"]["rms"], rel=0.2)
+
+
+def planar() -> tuple[Measurement, list[Any]]:
+    measurement = Measurement(machine, [mount(position, "tracker")])
+    across, up = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    command = np.column_stack([across.ravel(), up.ravel()])
+    return measurement, [measurement.series("tracker", command)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tolerances_that_are_right_are_kept(seed):
+    measurement, series = planar()
+    rng = np.random.default_rng(seed)
+    truth = draw_parameters(measurement, rng)
+    y = draw_readings(measurement, series, truth, rng)
+    estimate = identify(measurement, series, y)
+    assert not tolerance_factor(measurement, series, estimate).is_sure
+    small = ToleranceFactor(0.1, 0.0, 1.0).widened(measurement)
+    judged = tolerance_factor(small, series, identify(small, series, y))
+    assert judged.is_sure
+    assert 5.0 < judged.factor < 20.0
+
+
+def test_an_effect_is_no_wrong_tolerance():
+    """A smooth error of 20 times the noise that no parameters explain."""
+    measurement, series = planar()
+    rng = np.random.default_rng(5)
+    truth = draw_parameters(measurement, rng)
+    y = draw_readings(measurement, series, truth, rng)
+    wave = np.sin(np.linspace(0.0, 25.0, len(y)))
+    y = y + 20.0 * measurement.sigma(series) * wave
+    estimate = identify(measurement, series, y)
+    assert not tolerance_factor(measurement, series, estimate).is_sure

@@ -1,15 +1,23 @@
-"""Evidence against the dense multivariate Student t; the metric against an inverse."""
+"""Evidence against the dense multivariate Student t, over noise laws, and its tails."""
 
 import numpy as np
 import pytest
-from scipy import stats
+from numpy.testing import assert_allclose
+from scipy import special, stats
 
-from kernel.dense_noise import law_covariance, noise_covariance, residual_covariance
+from kernel.dense_noise import (
+    draw_noise,
+    law_covariance,
+    noise_covariance,
+    residual_covariance,
+)
 from kernel.gap_lines import white_lines
 from kernel.laws import STATED_LAW, noise_law
 from oed.gap.data import evidence
 from oed.gap.data import problem as problems
+from oed.gap.data.columns import Block
 from oed.gap.data.problem import GapProblem, Metric
+from oed.gap.forms.waves import log_tail
 from oed.noise import NoiseLaw
 
 
@@ -126,3 +134,66 @@ def test_residual_does_not_depend_on_where_the_fit_ended(problem):
     )
     scale = np.abs(near.residual).max()
     assert np.abs(near.residual - far.residual).max() < 0.02 * scale
+
+
+def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
+    """Readings of a machine without a gap under a law."""
+    rng = np.random.default_rng(seed)
+    y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
+    return problem.with_residual(y + draw_noise(problem, law, rng))
+
+
+def test_evidence_over_laws_is_the_mean_over_the_prior():
+    """By many laws drawn from the prior; the mixture serves both models at once."""
+    lines = white_lines(3, runs=6, length=12)
+    true = noise_law(2.0, 0.0, 1.0)
+    problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
+    models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
+    posteriors = [
+        evidence.posterior(problem, evidence.compress(problem, [Block.of(columns)]))
+        for columns in models
+    ]
+    mixture = evidence.mixture(problem, posteriors)
+    drawn = rng.standard_normal((500, posteriors[0].draws.shape[1]))
+    every = evidence._laws(problem, drawn)
+    for model in posteriors:
+        values = evidence.log_evidences(
+            evidence.linear_model(problem, model.columns), every
+        )
+        exact = float(special.logsumexp(values)) - np.log(len(drawn))
+        assert model.log_evidence == pytest.approx(exact, abs=0.25)
+        terms = [
+            evidence.log_evidence(problem, law, model.columns) + weight
+            for law, weight in mixture
+        ]
+        assert special.logsumexp(terms) == pytest.approx(exact, abs=0.5)
+
+
+@pytest.mark.parametrize(("repeat", "wander"), [(0.0, 0.0), (2.0, 0.0), (0.0, 3.0)])
+def test_the_most_probable_law_is_near_the_true_one(repeat, wander):
+    problem = white_lines(7, runs=12, length=40)
+    true = noise_law(repeat, wander, 6.0)
+    readings = _readings(problem, true, 8)
+    mode = evidence.posterior(readings, evidence.compress(readings)).mode.law
+    assert mode.scale[0, 0] == pytest.approx(1.0, abs=0.1)
+    single, wandering = np.sqrt([1.0 - mode.correlated[0], mode.correlated[0]])
+    # the reference reading of RM 5 is shared already: repeat comes on top
+    assert mode.level[0] / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
+    assert wandering / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)
+    if wander:
+        assert 2.5 < mode.reach[0] < 15.0
+
+
+@pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
+def test_far_tails_do_not_underflow(rank):
+    near = np.array([0.0, 1.0, 30.0, 500.0])
+    assert_allclose(
+        log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12
+    )
+    # beyond, the tail's recurrence Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1),
+    # whose second term dominates
+    x = 2000.0
+    a, b = log_tail(np.array(2 * x), rank), log_tail(np.array(2 * x), rank + 2.0)
+    added = rank / 2.0 * np.log(x) - x - float(special.gammaln(rank / 2.0 + 1.0))
+    assert_allclose(b, np.logaddexp(a, added), rtol=1e-8)
+    assert log_tail(np.array(3.0), 0.0) == 0.0

@@ -1,4 +1,6 @@
-"""Readings taken again: what differs between them, and errors that recur at each pose."""
+"""Readings taken again, readings that scatter, and effects that readings can test."""
+
+import dataclasses
 
 import numpy as np
 import pandas as pd
@@ -9,9 +11,11 @@ from shipped_models import encoder_scale, planar_2dof, pose_tracker
 from kernel.laws import STATED_LAW
 from oed import Measurement, mount
 from oed.effect_model import UNKNOWN_SIZES
-from oed.gap import diagnose, prepare
+from oed.gap import GapProblem, diagnose, prepare
 from oed.gap.cause.scatter import Energies, replicates, shape
-from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
+from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT, Diagnosis
+from oed.gap.forms import library
+from oed.measurement import draw_parameters, draw_readings
 
 effect = encoder_scale.effect
 position = pose_tracker.position
@@ -105,3 +109,67 @@ def test_a_run_that_scatters_more_is_named():
     of = problem(0.0, on_the_spot=False, loud_run=2.5)
     assert shape(of, STATED_LAW) == "run 4"
     assert shape(problem(0.0, on_the_spot=False), STATED_LAW) == "white"
+
+
+def diagnosis(factor: float, *, assumed: bool = False) -> Diagnosis:
+    """Of 48 poses whose readings scatter a factor of the stated noise, without effects."""
+    setup = mount(position, "tracker", sigma=(SIGMA,) * 3)
+    statement = dataclasses.replace(setup.statement, is_assumed=assumed)
+    setup = dataclasses.replace(setup, statement=statement)
+    measurement = Measurement(machine, [setup])
+    y, z = np.meshgrid(np.linspace(-1.2, 1.2, 8), np.linspace(0.2, 1.3, 6))
+    runs = np.repeat([str(k) for k in range(6)], 8)
+    command = np.column_stack([y.ravel(), z.ravel()])
+    series = measurement.series("tracker", command, runs)
+    rng = np.random.default_rng(7)
+    noise = factor * SIGMA * rng.standard_normal(3 * len(command))
+    readings = measurement.readings([series], measurement.nominal) + noise
+    order = np.tile(np.arange(1, 9), 6)
+    rows = {"setup": "tracker", "run": runs, "order": order, "direction": 1}
+    covariates = pd.DataFrame(rows)
+    problem = prepare(measurement, [series], readings, covariates)
+    return diagnose(problem, [effect], rng)
+
+
+def test_scatter_that_a_data_sheet_is_good_for_is_noise():
+    result = diagnosis(1.3)
+    assert result.verdict == "none"
+    assert result.scatter is None
+    assert "compensate the geometry" in result.next[0]
+
+
+def test_more_scatter_is_reported_with_its_factor_and_no_go_ahead():
+    result = diagnosis(3.0)
+    assert result.verdict == "scatter"
+    assert result.scatter.factor == pytest.approx(3.0, rel=0.2)
+    assert result.next[0].startswith("Do not compensate yet: read some poses several")
+    assert result.where == ()
+
+
+def test_an_assumed_noise_is_no_data_sheet():
+    assert diagnosis(3.0, assumed=True).verdict == "none"
+
+
+def grid_problem(noise: float) -> GapProblem:
+    sigma = np.full(3, noise)
+    measurement = Measurement(machine, [mount(position, "tracker", sigma=sigma)])
+    y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    rng = np.random.default_rng(1)
+    truth = draw_parameters(measurement, rng)
+    readings = draw_readings(measurement, [series], truth, rng)
+    covariates = pd.DataFrame(
+        {"setup": "tracker", "run": "1", "order": np.arange(25), "direction": 1}
+    )
+    return prepare(measurement, [series], readings, covariates)
+
+
+@pytest.mark.parametrize(("norm", "tested"), [(3.0, True), (0.1, True), (0.003, False)])
+def test_an_effect_is_tested_where_its_usual_sizes_show(norm, tested):
+    """By the norm over all readings of what it changes at its expected size."""
+    quiet = grid_problem(1e-6)
+    (constants,) = effect.constant_grid()
+    columns = quiet.signature(effect, constants).columns
+    noise = float(np.linalg.norm(columns)) / norm
+    built = library.build(grid_problem(noise), [effect])
+    assert (effect.name not in built.not_testable) == tested

@@ -1,11 +1,13 @@
-"""Batches: the mapped tapes against plain NumPy, for every way a batch is cut."""
+"""Batches and linear equations of many poses against plain NumPy."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from oed.mechanism import BatchedFunction
+from oed.base import Array, Index
+from oed.mechanism import BatchedFunction, newton
 from oed.mechanism.batch import MIN_ARRAY_POINTS
+from oed.mechanism.newton import solve_linear
 from oed.mechanism.tape import CHUNK_SIZES, TAPE_SIZES
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
@@ -79,3 +81,41 @@ def test_an_empty_input_and_an_empty_batch():
 def test_a_batch_of_the_wrong_length_is_refused(function):
     with pytest.raises(ValueError, match="broadcast"):
         function(np.ones((4, 3)), np.ones((3, 2)))
+
+
+#: x + y, x - y; its inverse by hand is half of itself
+REGULAR = np.array([[1.0, 1.0], [1.0, -1.0]])
+SINGULAR = np.array([[1.0, 2.0], [2.0, 4.0]])
+RIGHT = np.array([[3.0, 0.0], [1.0, 2.0]])
+
+
+def test_a_singular_pose_leaves_the_solutions_of_the_others():
+    """Wherever it stands among them."""
+    by_hand = np.array([[2.0, 1.0], [1.0, -1.0]])
+    for place in range(3):
+        matrices = np.stack([REGULAR] * 3)
+        matrices[place] = SINGULAR
+        solutions = solve_linear(matrices, np.stack([RIGHT] * 3))
+        assert np.isnan(solutions[place]).all()
+        for other in {0, 1, 2} - {place}:
+            assert solutions[other] == pytest.approx(by_hand)
+
+
+def test_a_pose_without_numbers_beside_a_singular_one_has_none():
+    matrices = np.stack([REGULAR, SINGULAR, np.full((2, 2), np.nan)])
+    solutions = solve_linear(matrices, np.stack([RIGHT] * 3))
+    assert np.isfinite(solutions[0]).all()
+    assert np.isnan(solutions[1:]).all()
+
+
+def test_blocks_of_systems_are_solved_as_one(monkeypatch):
+    """Square roots, of which one fails, in blocks of two."""
+    goal = np.array([0.01, 0.04, -1.0, 0.09, 0.16])
+
+    def equations(z: Array, rows: Index) -> list[Array]:
+        return [z**2 - goal[rows, None], 2.0 * z[..., None]]
+
+    monkeypatch.setattr(newton, "BLOCK_ROWS", 2)
+    roots, failed = newton.solve(equations, np.full((5, 1), 0.3))
+    assert failed.tolist() == [False, False, True, False, False]
+    assert roots[~failed, 0] == pytest.approx([0.1, 0.2, 0.3, 0.4])

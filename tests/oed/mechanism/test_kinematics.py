@@ -11,12 +11,12 @@ from oracles import delta_trilateration as delta
 from reference import tian_2016 as paper
 from scipy import optimize
 from scipy.spatial.transform import Rotation
-from shipped_models import a3_head, height_probe, linear_delta
+from shipped_models import a3_head, height_probe, hexapod_rus, linear_delta
 
 from kernel.cases import CASES
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.mechanism import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics, closest_closure
 from oed.mechanism.expressions import twist_slope
 from oed.model import Coordinate, Expr, Values
 
@@ -308,3 +308,32 @@ def test_the_twist_of_a_turn_about_z():
 def test_model_and_oracle_have_the_dimensions_of_table_1(head):
     expected = paper.A, paper.B, paper.C, paper.D
     assert expected == (head.A, head.B, head.C, head.D)
+
+
+machine = linear_delta.machine
+
+
+def test_a_machine_that_does_not_assemble_can_be_looked_at():
+    """Carriages level with the tool at the centre: the arm's ends are a radius apart."""
+    radius, arm, endstop = 0.16175, 0.345, 0.420
+    level = endstop + np.sqrt(arm**2 - radius**2)
+    odd = dataclasses.replace(
+        machine,
+        guess=lambda c: ([c["x"], c["y"], c["z"]], [level - c["z"]] * 3),
+        skeleton=lambda x, q, p: [[ca.vertcat(x["x"], x["y"], x["z"]), ca.SX.ones(3)]],
+    )
+    guess = closest_closure(odd, np.array([0.0, 0.0, 0.05])).guess
+    assert guess.equations == pytest.approx([radius - arm] * 3)
+    np.testing.assert_allclose(guess.lines[0], [[0.0, 0.0, 0.05], [1.0, 1.0, 1.0]])
+
+
+def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(rng):
+    """The cranks are those of the same pose without a tool, within half a turn."""
+    kinematics = Kinematics(hexapod_rus.machine)
+    tool = np.array([0.15, 0.0, 0.03])
+    command = np.tile(kinematics.machine.home_command, (200, 1))
+    command[:, :3] += tool + rng.uniform(-0.03, 0.03, (200, 3))
+    command[:, 3:] = rng.uniform(-0.14, 0.14, (200, 3))
+    x, q = kinematics.inverse(command, tool=tool)
+    assert np.abs(q).max() < np.pi
+    np.testing.assert_allclose(q, kinematics.inverse(x)[1], atol=1e-12)

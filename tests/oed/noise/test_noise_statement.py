@@ -11,6 +11,7 @@ from scipy import linalg, stats
 
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance, law_covariance
+from kernel.laws import noise_law
 from oed.accuracy import BudgetModel
 from oed.design import Candidates
 from oed.estimation import identify
@@ -281,3 +282,13 @@ def test_a_diagnosis_without_statement_has_all_parts():
     problem = assemble(m, [series], pd.DataFrame(rows))
     law = gap_laws.posterior(problem, problem.slopes[:, :0])
     assert law.draws.shape[1] == 4
+
+
+def test_a_law_in_words_names_each_part_that_is_large():
+    law = noise_law(level=2.0, seat_sd=0.8)
+    assert [words for words in law.describe() if "seats anew" in words] == [
+        "what a run seats anew, such as a cup on its magnet, repeats to 1.6 times the"
+        " stated noise"
+    ]
+    assert len(law.describe()) == 2
+    assert len(noise_law(level=2.0, seat_sd=0.1).describe()) == 1

@@ -1,16 +1,28 @@
-"""The sampler: Laplace where the problem is linear, quadrature where it is not."""
+"""The sampler: Laplace, quadrature, rejection, predictive checks."""
+
+import dataclasses
+import functools
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from scipy import special
+from scipy import special, stats
 
 from kernel import a3_plans
 from kernel.delta_probe import problem
 from oed import posterior, safe_files
-from oed.estimation import identify
-from oed.measurement import draw_readings
-from oed.posterior import LogDensity, log_density
+from oed.estimation import Estimate, identify
+from oed.measurement import (
+    Measurement,
+    Series,
+    draw_parameters,
+    draw_readings,
+    reading_structure,
+)
+from oed.posterior import LogDensity, OutOfBoundsError, log_density, predictive_checks
+from oed.posterior.posterior import DISCREPANCIES
 
 
 @pytest.mark.parametrize(
@@ -170,3 +182,171 @@ def test_the_file_holds_the_draws(tmp_path):
     assert "rhat" not in tree["sample_stats"]
     stats = tree["sample_stats"]["ess"].to_numpy().ravel()
     assert np.array_equal(stats, drawn.ess, equal_nan=True)
+
+
+#: one that readings determine, and one that lost directions move
+SEEN, LOST = "dq1", "da2x"
+
+
+def head(bounds: dict[str, tuple[float, float]]) -> Measurement:
+    """The A3 head with errors of a hundredth, so that its readings are linear."""
+    free, every = (-np.inf, np.inf), a3_plans.machine.parameters
+    limits = [
+        {"tolerance": 0.01 * p.tolerance, "bounds": bounds.get(p.name, free)}
+        for p in every
+    ]
+    parameters = [
+        dataclasses.replace(p, **d) for p, d in zip(every, limits, strict=True)
+    ]
+    return a3_plans.measurement(of=a3_plans.machine.with_parameters(parameters))
+
+
+def readings() -> tuple[Series, np.ndarray]:
+    m = head({})
+    series = a3_plans.circles(m, 12)
+    rng = np.random.default_rng(6)
+    truth = draw_parameters(m, rng)
+    return series, draw_readings(m, [series], truth, rng)
+
+
+SERIES, Y = readings()
+
+
+def normal_draws(m: Measurement, estimate: Estimate, count: int) -> np.ndarray:
+    """Draws (count, n) of the linear Gaussian model without bounds, written out."""
+    prior = np.diag(m.tolerance**2)
+    h = m.jacobian([SERIES], estimate.theta)
+    marginal = h @ prior @ h.T + np.diag(m.sigma([SERIES]) ** 2)
+    gain = np.linalg.solve(marginal, h @ prior).T
+    change = Y - m.readings([SERIES], estimate.theta) + h @ estimate.theta
+    rng = np.random.default_rng(7)
+    # Matheron's rule: a draw of the prior, corrected by what it reads
+    drawn = rng.standard_normal((count, len(prior))) * m.tolerance
+    noise = rng.standard_normal((count, len(Y))) * m.sigma([SERIES])
+    return drawn + (change - drawn @ h.T - noise) @ gain.T
+
+
+@functools.cache
+def bounded() -> tuple[Measurement, Estimate, np.ndarray]:
+    """Bounds that cut through what is known, and the exact draws within."""
+    free = head({})
+    first = identify(free, [SERIES], Y)
+    seen, lost = (free.names.index(name) for name in (SEEN, LOST))
+    ends = {
+        SEEN: (-np.inf, max(float(first.theta[seen] + 0.2 * first.sd[seen]), 0.0)),
+        LOST: (-0.5 * free.tolerance[lost], np.inf),
+    }
+    m = head(ends)
+    estimate = identify(m, [SERIES], Y)
+    exact = normal_draws(m, estimate, 60_000)
+    within = (exact[:, seen] <= ends[SEEN][1]) & (exact[:, lost] >= ends[LOST][0])
+    assert 0.1 < within.mean() < 0.7
+    return m, estimate, exact[within]
+
+
+@pytest.mark.parametrize("sampler", ["laplace", "auto", "emcee"])
+def test_draws_are_those_of_exact_rejection(sampler):
+    m, estimate, exact = bounded()
+    rng = np.random.default_rng(8)
+    if sampler == "laplace":
+        drawn = posterior.draw_approximation(m, [SERIES], Y, estimate, rng, 4000).theta
+        assert len(drawn) == 4000
+    else:
+        result = posterior.sample(
+            m, [SERIES], Y, estimate, rng, sampler=sampler, ess=1000.0
+        )
+        drawn = result.pooled
+        assert result.sampler == ("emcee" if sampler == "emcee" else "importance")
+        most = 0.9 if sampler == "emcee" else 1.0
+        assert np.nanmin(result.ess) <= most * drawn.shape[0]
+    assert m.in_bounds(drawn).all()
+    free = m.free
+    sd = exact.std(axis=0)[free]
+    off = (drawn.mean(axis=0) - exact.mean(axis=0))[free] / sd
+    assert np.abs(off).max() < 0.12
+    assert drawn.std(axis=0)[free] == pytest.approx(sd, rel=0.1)
+    # without the bounds, the mean of the one that is cut is elsewhere
+    cut = m.names.index(SEEN)
+    shift = (estimate.theta[cut] - exact[:, cut].mean()) / exact[:, cut].std()
+    assert shift > 0.5
+
+
+def test_an_estimate_near_a_bound_says_so():
+    _, estimate, _ = bounded()
+    (sentence,) = [w for w in estimate.warnings if "near a bound" in w]
+    assert SEEN in sentence
+    assert not [w for w in identify(head({}), [SERIES], Y).warnings if "bound" in w]
+
+
+def test_virtual_machines_keep_to_bounds():
+    m = head({SEEN: (0.0, np.inf), LOST: (-1e-6, 2e-6)})
+    drawn = draw_parameters(m, np.random.default_rng(9), 2000)
+    assert m.in_bounds(drawn).all()
+    half_normal = m.tolerance[m.names.index(SEEN)] * np.sqrt(2.0 / np.pi)
+    assert drawn[:, m.names.index(SEEN)].mean() == pytest.approx(half_normal, rel=0.06)
+
+
+def test_readings_that_contradict_bounds_are_refused():
+    """The cup is 25 standard deviations on the other side."""
+    m = head({})
+    (setup,) = m.setups.values()
+    nuisances = [dataclasses.replace(n, bounds=(0.0, np.inf)) for n in setup.nuisances]
+    m = m.with_setups([dataclasses.replace(setup, nuisances=tuple(nuisances))])
+    estimate = identify(m, [SERIES], Y)
+    rng = np.random.default_rng(1)
+    for sampler in (posterior.sample, posterior.draw_approximation):
+        with pytest.raises(OutOfBoundsError, match=r"bounds of cup\.cup_"):
+            sampler(m, [SERIES], Y, estimate, rng)
+
+
+problem_once = functools.cache(functools.partial(problem, distances=False))
+
+
+def checks_of(residual: np.ndarray, seed: int = 1) -> dict[str, Any]:
+    """Checks where the posterior is one point, off the readings by residuals (N,)."""
+    m, series, _, estimate = problem_once()
+    y = m.readings(series, estimate.theta) + residual * m.sigma(series)
+    posterior: Any = SimpleNamespace(pooled=np.tile(estimate.theta, (2000, 1)))
+    rng = np.random.default_rng(seed)
+    return predictive_checks(m, series, y, estimate, posterior, rng)
+
+
+@pytest.mark.parametrize("size", [0.8, 1.0, 1.2])
+def test_shares_of_rms_and_largest_are_those_of_normal_noise(size):
+    """Chi-squared, and the largest of independent normal errors; 400 draws."""
+    n = len(problem_once()[2])
+    residual = size * np.where(np.arange(n) % 2, 1.0, -1.0)
+    checks = checks_of(residual)
+    rms, largest = checks["rms"], checks["largest"]
+    assert (rms.observed, largest.observed) == pytest.approx((size, size), rel=1e-5)
+    chi2 = stats.chi2(n)
+    assert rms.p_high == pytest.approx(chi2.sf(n * size**2), abs=0.08)
+    assert rms.low == pytest.approx(np.sqrt(chi2.ppf(0.025) / n), rel=0.08)
+    assert rms.high == pytest.approx(np.sqrt(chi2.ppf(0.975) / n), rel=0.08)
+    within = (2.0 * stats.norm.cdf(size) - 1.0) ** n
+    assert largest.p_high == pytest.approx(1.0 - within, abs=0.05)
+    assert not rms.alarming
+    assert checks_of(5.0 * residual)["rms"].alarming
+
+
+def test_discrepancies_are_their_formulas():
+    m, series, _, estimate = problem_once()
+    structure = reading_structure(m, series, estimate.theta)
+    n = len(structure)
+    errors = np.random.default_rng(2).standard_normal((3, n))
+    values = {name: one(structure, errors) for name, one in DISCREPANCIES.items()}
+    assert values["rms"] == pytest.approx(np.sqrt((errors**2).mean(axis=1)))
+    assert values["largest"] == pytest.approx(np.abs(errors).max(axis=1))
+    chains = [np.flatnonzero(structure.chain == c) for c in range(len(structure.run))]
+    products = []
+    for chain in chains:
+        ordered = errors[:, chain[np.argsort(structure.position[chain])]]
+        products.append(ordered[:, 1:] * ordered[:, :-1])
+    joined = np.hstack(products)
+    if joined.size:
+        expected = joined.mean(axis=1) / (errors**2).mean(axis=1)
+        assert values["neighbours"] == pytest.approx(expected)
+    if len(chains) > 1:
+        means = np.array([errors[:, c].mean(axis=1) for c in chains])
+        expected = np.sqrt((means**2).mean(axis=0))
+        assert values["run_means"] == pytest.approx(expected)

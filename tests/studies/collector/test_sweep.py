@@ -1,4 +1,4 @@
-"""Sweeps over varied studies in a user's own test suite, also on several processes."""
+"""Studies and sweeps over varied studies as tests of pytest."""
 
 import subprocess
 import sys
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import sample
+from few_poses import PLAN, write
 
 from pkm_studies import stages
 from pkm_studies.base import Location
@@ -14,7 +15,7 @@ from pkm_studies.collector import sweep
 from pkm_studies.study import Study
 
 #: nothing to choose and nothing to fit: a plan is looked at
-PLAN = sample.changed(
+SWEPT = sample.changed(
     sample.STUDY,
     ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
     ("count = 4 }", "count = 2 }"),
@@ -49,7 +50,7 @@ def test_noise_is_the_setting_s(varied_study):
 
 def _suite(folder: Path, texts: Sequence[str], *options: str) -> str:
     """What pytest prints on a suite of files with these texts in the folder."""
-    (folder / "plan.study.toml").write_text(PLAN, encoding="utf-8")
+    (folder / "plan.study.toml").write_text(SWEPT, encoding="utf-8")
     names = [f"test_mine_{k}.py" for k in range(len(texts))]
     for name, text in zip(names, texts, strict=True):
         (folder / name).write_text(text, encoding="utf-8")
@@ -93,7 +94,7 @@ def test_a_sweep_that_makes_no_sense_is_an_error_in_words(tmp_path):
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     path = tmp_path / "plan.study.toml"
-    path.write_text(PLAN, encoding="utf-8")
+    path.write_text(SWEPT, encoding="utf-8")
     return path
 
 
@@ -135,3 +136,52 @@ def test_a_failing_figure_says_measured_against_claimed(study, tmp_path):
         case.figure("identifiability.nothing")
     with pytest.raises(pytest.fail.Exception, match="no claim none"):
         case.check_claims("none")
+
+
+def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p",
+        "no:xdist", *map(str, arguments),
+    ]  # fmt: skip
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_each_claim_is_a_test(tmp_path):
+    claims = (
+        'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of ='
+        ' "identifiability.m", min = 1 }\n'
+    )
+    good = write(tmp_path / "good.study.toml", PLAN + claims)
+    gone = (
+        sample.DELTA
+        + '[readings]\nsource = "delta_v400"\npath = "gone"\n[expect]\nany = { of ='
+        ' "seed", min = 0 }\n'
+    )
+    write(tmp_path / "gone.study.toml", gone)
+    write(tmp_path / "broken.study.toml", "schema = 1\n")
+    write(
+        tmp_path / "slow.study.toml",
+        PLAN.replace("schema = 1", "schema = 1\nslow = true"),
+    )
+    done = pytest_on(
+        tmp_path, "-rs", "-m", "not slow", "--continue-on-collection-errors"
+    )
+    assert "1 passed, 1 skipped, 1 deselected, 1 error" in done.stdout
+    assert "2 failed" in done.stdout
+    line = 1 + (PLAN + claims).splitlines().index(claims.splitlines()[0])
+    where = f"good.study.toml:{line} [expect]"
+    expected = f"wrong: measured 21, claimed identifiability.n = 20 ({where})"
+    assert expected in done.stdout
+    assert "no such result" in done.stdout
+    assert "name: missing" in done.stdout
+    assert "looked in" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert "1 passed in" in pytest_on(f"{good}::rank").stdout
+
+
+def test_a_study_of_one_claim_names_its_line(tmp_path):
+    from pkm_studies import collector
+
+    text = Study.load(write(tmp_path / "p.study.toml", PLAN)).text
+    assert text.splitlines()[collector._line(text, "rank")].startswith("rank =")

@@ -1,15 +1,30 @@
 """Broken inputs: exit 2 and one paragraph with file, field and remedy."""
 
 import random
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
+import compensation_sample
+import msgspec
+import numpy as np
 import pytest
 import sample
+import xarray
+from shipped_models import linear_delta
 
+from oed.model import Machine
+from pkm_page import PageOptions, open_page
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
 from pkm_studies.commands import main
+from pkm_studies.compensation.formats import body_names
+from pkm_studies.earlier_result import read_draws
+from pkm_studies.quantities import column
+from pkm_studies.study import PublishedFile, Study
 
 TEN_MB = 10_000_000
 LONGEST = 600
@@ -208,3 +223,180 @@ def test_a_check_refuses_what_a_run_refuses(name, capsys, tmp_path):
     assert words in checked
     code = main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet"])
     assert (code, capsys.readouterr().err) == (2, checked)
+
+
+NAMES = ("parameter", ["a", "b"])
+DIMENSIONS = ("chain", "draw", "parameter")
+
+
+def netcdf(**variables: object) -> bytes:
+    data = xarray.Dataset(variables)
+    return bytes(data.to_netcdf(engine="h5netcdf", group="posterior"))
+
+
+def draws(theta: np.ndarray) -> bytes:
+    return netcdf(theta=(DIMENSIONS, theta), parameter=NAMES)
+
+
+GOOD = draws(np.ones((1, 5, 2)))
+BROKEN = {
+    "empty": b"",
+    "text": b"no netCDF\n",
+    "cut": GOOD[: len(GOOD) // 2],
+    "head alone": GOOD[:8],
+    "no group": bytes(xarray.Dataset().to_netcdf(engine="h5netcdf")),
+    "no draws": netcdf(parameter=NAMES),
+    "of a number": netcdf(theta=3.0, parameter=NAMES),
+    "not finite": draws(np.full((1, 5, 2), np.nan)),
+    "words": draws(np.full((1, 5, 2), "x")),
+    "one draw": draws(np.ones((1, 1, 2))),
+}
+
+
+def test_whole_draws_are_read(tmp_path):
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(GOOD)
+    read = read_draws(path, ["b"])
+    assert read is not None
+    np.testing.assert_array_equal(read, np.ones((5, 1)))
+    assert read_draws(path, ["c"]) is None
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=[*BROKEN])
+def test_broken_draws_are_named(tmp_path, content):
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        read_draws(path, ["a"])
+    said = str(error.value)
+    assert said.startswith(f"{path}: these are no draws of a posterior: ")
+    assert "restore the file" in said
+
+
+DEEP = "x = " + "[" * 5000
+
+
+@pytest.mark.parametrize(("name", "command"), [
+    ("c.campaign.toml", ["campaign", "c.campaign.toml"]),
+    ("m.toml", ["import", "columns", "r.csv", "--map", "m.toml", "--out", "o"]),
+    ("s.study.toml", ["check", "s.study.toml"]),
+])  # fmt: skip
+def test_nested_tables_are_named(tmp_path, monkeypatch, capsys, name, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text(DEEP, encoding="utf-8")
+    (tmp_path / "r.csv").write_text("x,y\n1,2\n", encoding="utf-8")
+    assert main(command) == 2
+    assert f"{name}: tables or lists are nested too deeply" in capsys.readouterr().err
+
+
+def test_a_cell_that_no_reader_takes_is_named(tmp_path):
+    """Python's reader of CSV takes 131072 characters."""
+    path = tmp_path / "long.csv"
+    path.write_text(f"x,y\n1,2\n3,{'9' * 200_000}\n", encoding="utf-8")
+    for read in (csv_table.read, lambda p: PublishedFile(p).csv_rows(["x"])):
+        with pytest.raises(InputError, match=r"long.csv: this is no CSV: field larger"):
+            read(path)
+
+
+TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report]"
+
+
+@pytest.mark.parametrize(("change", "field", "remedy"), [
+    (("length_um = 0.5", "length_um = 1e300"), "noise.length_um", "check its unit"),
+    (("length_um = 0.5", "length_um = 1e-9"), "noise.length_um", "1e-12 to 1000 m"),
+    (("[report]", TOLERANCE), "prior.tolerance[1].sigma_mm", "up to 1000 m"),
+])  # fmt: skip
+def test_noise_and_tolerances(change, field, remedy):
+    error = sample.refused(sample.STUDY, change)
+    assert error.field == field
+    assert error.value
+    assert remedy in error.remedy
+
+
+def test_a_huge_reading_is_named(tmp_path, capsys):
+    study, readings = tmp_path / "s.study.toml", tmp_path / "r.csv"
+    study.write_text(sample.STUDY, encoding="utf-8")
+    text = sample.changed(sample.READINGS, ("300.002", "1e300"))
+    readings.write_text(text, encoding="utf-8")
+    assert main(["check", str(study), str(readings)]) == 2
+    error = capsys.readouterr().err
+    assert (
+        "row 3, column length_mm = 1e300: no number of a session is so large" in error
+    )
+
+
+PATHS = (
+    "../evil", "/elsewhere/evil", "a/b", "..", "", ".hidden", "a\nb", "evil\n",
+    "C:evil", "a\\b",
+)  # fmt: skip
+COMMAND = "M112 (stop)"
+TEXT = f"1.0 ) */ ]]> ---> --> \n{COMMAND}\r{COMMAND}\u2028{COMMAND}\x0b{COMMAND}"
+
+
+def stored(folder: Path, **fields: object) -> Path:
+    machine = linear_delta.machine
+    content = compensation_sample.result(machine, machine.nominal)
+    return compensation_sample.save(folder, msgspec.structs.replace(content, **fields))
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_the_name_of_a_study_is_no_path(tmp_path, name):
+    folder = stored(tmp_path / "theirs", study=name)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match=r"result.json: study = .*no name for a study"):
+        open_page(folder, PageOptions())
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", [
+    ["report"],
+    ["compensate", "--to", "csv"],
+    ["verify"],
+    ["adjust"],
+    ["certificate"],
+])  # fmt: skip
+def test_no_command_writes_outside_the_folder(tmp_path, capsys, command):
+    folder = stored(tmp_path / "theirs", study="../evil")
+    assert main([command[0], str(folder), *command[1:]]) == 2
+    assert "study" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["theirs"]
+
+
+def test_the_name_of_a_study_ends_with_its_line(tmp_path):
+    """Python lets a line feed follow the end of a pattern."""
+    text = compensation_sample.study_text("linear_delta")
+    with pytest.raises(InputError, match="letters, digits"):
+        Study.parse(text.replace('"sample"', '"sample\\n"'), tmp_path / "s.study.toml")
+
+
+def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path):
+    """Each line of the text stays inside the comment that it is written into."""
+    few = ["--commands", "64"]
+    formats = {"csv": few, "json": few, "c": [], "klipper": [], "rrf": [], "marlin": []}
+    for word, options in (formats | {"linuxcnc": [], "gcode": []}).items():
+        folder = hostile(tmp_path / word, linear_delta.machine)
+        assert main(["compensate", str(folder), "--to", word, *options]) in (0, 1, 2)
+        texts = [p.read_text("utf-8") for p in folder.glob("compensation*")]
+        assert texts, word
+        for line in "\n".join(texts).splitlines():
+            assert not line.startswith("M112"), word
+            assert not re.match(r"^[^(;#]*\)\s*M112", line), word
+
+
+@pytest.mark.parametrize("dashes", range(8))
+def test_no_text_of_a_result_ends_a_comment_in_xml(dashes):
+    text = "-" * dashes + ">" + "-" * dashes
+    whole = body_names.commented(ElementTree.Element("robot"), [text, text])
+    assert ElementTree.fromstring(whole).tag == "robot"
+
+
+def hostile(folder: Path, machine: Machine) -> Path:
+    """A result with commands wherever it has text."""
+    home = {column(c.name, c.unit): 0.0 for c in machine.command}
+    design = compensation_sample.design([home])
+    poses = [msgspec.structs.replace(p, setup=TEXT, run=TEXT) for p in design.poses]
+    content = compensation_sample.result(
+        machine, machine.nominal, design=msgspec.structs.replace(design, poses=poses)
+    )
+    hostile = msgspec.structs.replace(content, version=TEXT, title=TEXT, question=TEXT)
+    return compensation_sample.save(folder, hostile)

@@ -107,7 +107,7 @@ def _pairs() -> list[tuple[str, str]]:
     """Machines with instruments.
 
     Each instrument with one machine that it reads, small ones in turn; a sixth of those
-    that it cannot read, and the planar one; families that test_new_families.py does not
+    that it cannot read, and the planar one; families that test_families.py does not
     check, with one position reader.
     """
     tools = [entry.name for entry in catalogue.listing("instruments")]

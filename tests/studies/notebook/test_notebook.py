@@ -1,15 +1,29 @@
 """The public face: what `import oed` offers, and results that show themselves."""
 
+import dataclasses
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
+import report_fixture
+import report_fixture_plan
 import sample
 from fresh_process import printed_by
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from report_fixture import result_of
 
 import oed
+from oed.result import DesignSection, StudyResult
+from pkm_studies import stages
+from pkm_studies.notebook import axes
+from pkm_studies.notebook.views import EstimateView
+from pkm_studies.results import load_result
+from pkm_studies.stages.run_state import WithheldError
 
 #: what the small study leaves to a default that takes longer
 SMALL = """
@@ -230,3 +244,132 @@ def test_the_acceptance_test_is_a_function(tmp_path):
     test = oed.verify(tmp_path / "run")
     assert len(test.outcome.poses) > 0
     assert (tmp_path / "run" / "acceptance.csv").is_file()
+
+
+def _drawn(draw, *sections) -> Axes:
+    figure = Figure().subplots()
+    draw(*sections, figure)
+    return figure
+
+
+def test_other_sections_are_drawn_too():
+    full = result_of(report_fixture.sample())
+    dots = np.vstack(
+        [line.get_xydata() for line in _drawn(axes.design, full.design).lines[1::2]]
+    )
+    assert len(dots) == len(full.design.poses)
+    residuals = _drawn(axes.residuals, full.estimate).lines[0].get_ydata()
+    np.testing.assert_array_equal(residuals, full.estimate.residuals)
+    bars = _drawn(axes.accuracy, full.prediction).containers[1]
+    after = [c.after.rms for c in full.prediction.components.values()]
+    assert [bar.get_height() for bar in bars] == after
+    drawn = _drawn(axes.posterior, full.posterior, full.estimate.parameters)
+    name = drawn.get_yticklabels()[0].get_text()
+    marginal, p = full.posterior.marginals[name], full.estimate.parameters[name]
+    low, high = drawn.lines[0].get_xdata()
+    assert low * p.prior_sd + p.nominal == pytest.approx(marginal.q025)
+    assert high * p.prior_sd + p.nominal == pytest.approx(marginal.q975)
+    plan = result_of(report_fixture.bare() | {"plan": report_fixture_plan.plan()}).plan
+    shares = _drawn(axes.stages, plan).lines[0].get_ydata()
+    key = next(iter(plan.start_accuracy))
+    assert shares[0] == 1.0
+    assert shares[-1] * plan.start_accuracy[key] == pytest.approx(
+        plan.stages[-1].accuracy[key]
+    )
+
+
+def test_what_cannot_be_drawn_says_why():
+    design = result_of(report_fixture.sample()).design
+    assert isinstance(design, DesignSection)
+    import msgspec
+
+    empty = msgspec.structs.replace(design, poses=[])
+    with pytest.raises(ValueError, match="no commands"):
+        _drawn(axes.design, empty)
+
+
+TABLES = {
+    "name": "scaled",
+    "machine": {"model": "planar_2dof"},
+    "setup": [{"name": "rm4", "instrument": "rm4"}],
+    "noise": {"dy_um": 3.0},
+    "posterior": {"enabled": False},
+    "prediction": {"y_mm": [-1000.0, 0.0, 1000.0], "z_mm": [300.0, 900.0]},
+    "gap": {"effects": ["encoder_scale"]},
+    "report": {"html": False, "pdf": False},
+}
+VIRTUAL = {
+    "design": {
+        "reference": [
+            {
+                "name": "lines",
+                "setup": "rm4",
+                "runs_by": "y",
+                "y_mm": [-1500.0, 0.0, 1500.0],
+                "z_mm": {"from": 0.0, "to": 1500.0, "count": 7},
+            }
+        ]
+    },
+    "readings": {"simulate": True, "draw": True},
+    "gap": TABLES["gap"]
+    | {
+        "acting": [
+            {"effect": "encoder_scale", "size": 1.5, "coefficients": {"leg 1": 1.0}}
+        ]
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def scaled(tmp_path_factory) -> tuple[oed.Study, Path]:
+    """A study without readings, and readings of a machine with a wrong scale."""
+    path = tmp_path_factory.mktemp("scaled") / "scaled.readings.csv"
+    readings = oed.simulate(oed.build_study({**TABLES, **VIRTUAL}))
+    readings.to_pandas().to_csv(path, index=False)
+    return oed.build_study(TABLES), path
+
+
+@pytest.fixture(scope="module")
+def commanded(scaled, tmp_path_factory) -> StudyResult:
+    """What `oed diagnose` writes."""
+    study, path = scaled
+    folder = tmp_path_factory.mktemp("out")
+    stages.diagnose_study(study, [path], folder)
+    return load_result(folder)
+
+
+def of_file(section):
+    """A section as result.json stores it."""
+    return msgspec.json.decode(msgspec.json.encode(section))
+
+
+@pytest.mark.slow
+def test_a_notebook_has_the_diagnosis_of_the_command(scaled, commanded):
+    study, path = scaled
+    view = oed.diagnose(oed.identify(oed.read_readings(study, path)))
+    assert commanded.gap.mixture is not None
+    assert commanded.corrected is not None
+    found = view.state.result
+    for name in ("gap", "corrected", "estimate", "goodness", "identifiability"):
+        told = of_file(getattr(commanded, name))
+        assert of_file(getattr(found, name)) == told, name
+    assert view.section.mixture == found.gap.mixture
+    assert view.corrected == found.corrected
+    assert set(commanded.warnings) == set(view.warnings)
+
+
+def test_a_refused_step_says_why():
+    estimate = oed.identify(oed.simulate(oed.build_study({**TABLES, **VIRTUAL})))
+    # as a check leaves recorded readings that look mistaken
+    state = estimate.state
+    recorded = dataclasses.replace(state.readings, truth=None)
+    bad = msgspec.structs.replace(state.goodness, bad_fit=True)
+    checked = SimpleNamespace(mistaken=True, bad_fit=True, findings=())
+    state = state.replace(readings=recorded, checked=checked)
+    refused = EstimateView(state.add_sections(goodness=bad))
+    with pytest.raises(WithheldError, match=r"prediction: .* rest on a bad fit"):
+        oed.predict(refused)
+    with pytest.raises(WithheldError, match=r"gap: .* a mistake in the readings"):
+        oed.diagnose(refused)
+    with pytest.raises(WithheldError, match=r"posterior: \[posterior\] enabled"):
+        oed.sample(refused)

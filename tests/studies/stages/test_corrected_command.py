@@ -6,13 +6,17 @@ import io
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 import sample
 
+from oed.estimation import IdentificationError
 from oed.result import StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
+from pkm_studies.stages.correct import corrected
 
 
 def run(*arguments: str | Path) -> int:
@@ -248,3 +252,29 @@ def test_the_report_has_the_corrected_model_and_the_acceptance_test(planned, tmp
     for text in (*headings, "Uncertainty budget", "sizes of the effects"):
         assert text in page
     assert "The acceptance test is failed" in page
+
+
+@pytest.fixture
+def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
+    """A fit whose correction for a step fails; its warnings are returned."""
+    error = IdentificationError("the fit did not converge")
+    effects = [SimpleNamespace(name="step")]
+    monkeypatch.setattr(corrected, "_effects", lambda *given: effects)
+    readings = mock.MagicMock()
+    readings.return_value.estimate.side_effect = error
+    monkeypatch.setattr(corrected, "readings_with_covariates", readings)
+    state = mock.MagicMock(with_effects=())
+    state.add_warnings = lambda *warnings: warnings
+    return state
+
+
+def test_a_diagnosis_stands_where_its_correction_fails(state):
+    (warning,) = corrected.correct_for_effects(state)
+    assert warning.startswith("nothing is corrected for step")
+    assert "did not converge" in warning
+
+
+def test_effects_that_were_named_are_refused(state):
+    state.with_effects = ("step",)
+    with pytest.raises(IdentificationError):
+        corrected.correct_for_effects(state)

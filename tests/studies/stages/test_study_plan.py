@@ -1,4 +1,4 @@
-"""Plans of stages in studies, against all subsets of lines and after a session."""
+"""Plans of stages in studies, against all subsets of lines, after a session, and with a cause."""
 
 import csv
 import dataclasses
@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import xarray
+from gantry_forecast import PLAN
 from plan_sample import HERE, STUDY, plan_of, planned
 from sample import changed, table_lines
 
@@ -19,7 +20,7 @@ from oed.identifiability import scaled
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
 from oed.planning import Option
-from oed.result import AlternativePlan, PlanSection, StudyResult
+from oed.result import AlternativePlan, ChosenRun, ChosenRuns, PlanSection, StudyResult
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -330,3 +331,98 @@ def test_what_linearisation_leaves_is_the_largest_of_the_lengths():
     assert left("both", 2, [1e-6, 0.5, 3e-6, 0.2]) == pytest.approx(3.0)
     assert left("both", 1, [np.nan, 0.5]) is None
     assert left("angles", 2, [0.5, 0.2]) is None
+
+
+BOTH = (
+    PLAN.partition("[prediction]")[0].replace("gantry", "both")
+    + """
+[plan]
+budget_min = 150.0
+stages = 1
+
+[[plan.measurement]]
+name = "RM 5"
+setup = "rm5"
+counts = [2, 3]
+whole_runs = true
+y_mm = [0.0, -1500.0, -900.0, -300.0, 300.0, 900.0, 1500.0]
+z_mm = [0.0, 750.0, 1500.0]
+runs_by = "z"
+
+[prediction]
+reference = "home"
+y_mm = { from = -1500.0, to = 1500.0, count = 5 }
+z_mm = { from = 0.0, to = 1500.0, count = 5 }
+
+[[design.reference]]
+name = "lines"
+setup = "rm5"
+y_mm = [0.0, -1500.0, -900.0, -300.0, 300.0, 900.0, 1500.0]
+z_mm = [0.0, 300.0, 750.0, 1200.0, 1500.0]
+runs_by = "z"
+
+[gap]
+effects = ["gravity", "encoder_scale", "backlash"]
+
+[gap.design]
+find = ["gravity", "encoder_scale"]
+keep = "plan"
+candidates = ["lines"]
+conditions = [{ payload_N = 0.0 }, { payload_N = 1000.0 }]
+budget_min = 30.0
+"""
+)
+
+
+def planned_both(text: str, out: Path) -> StudyResult:
+    return stages.plan_study(study.Study.parse(text, out / "both.study.toml"), out)
+
+
+def new_runs(chosen: ChosenRuns) -> list[ChosenRun]:
+    """The runs that are added to those of the plan."""
+    return chosen.runs[chosen.retained :]
+
+
+def added_seconds(chosen: ChosenRuns) -> float:
+    return sum(run.seconds for run in new_runs(chosen))
+
+
+def test_the_cause_takes_its_time_from_the_plan(tmp_path):
+    result = planned_both(BOTH, tmp_path)
+    plan, chosen = result.plan, result.gap_before.chosen
+    assert plan.budget_min == pytest.approx(120.0)
+    assert plan.cost <= 120.0
+    assert chosen.retained == 3  # the lines of the plan
+    assert added_seconds(chosen) <= 1800.0 + 1e-6
+    # without a second payload the plan's own lines say next to nothing of gravity
+    assert chosen.before < 1.0
+    assert chosen.separation > 4.0
+    payloads = {run.condition["payload"] for run in new_runs(chosen)}
+    assert payloads == {0.0, 1000.0}
+    assert (tmp_path / "gap_poses.csv").is_file()
+
+
+def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path):
+    result = planned_both(changed(BOTH, ("budget_min = 30.0\n", "")), tmp_path)
+    plan, chosen = result.plan, result.gap_before.chosen
+    assert plan.budget_min == pytest.approx(150.0)
+    assert plan.cost + added_seconds(chosen) / 60.0 <= 150.0 + 1e-6
+    assert len(chosen.runs) > chosen.retained
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
+    (("budget_min = 150.0", "budget_min = 100.0"), "30 min of it are for [gap.design]"),
+])  # fmt: skip
+def test_too_little_time_is_refused(tmp_path, change, message):
+    with pytest.raises(InputError) as error:
+        planned_both(changed(BOTH, change), tmp_path)
+    assert message in str(error.value)
+
+
+def test_a_plan_that_the_study_does_not_request_is_not_retained(tmp_path):
+    text = BOTH[: BOTH.index("[plan]")] + BOTH[BOTH.index("[[design.reference]]") :]
+    with pytest.raises(InputError) as error:
+        resolve(study.Study.parse(text, tmp_path / "both.study.toml"))
+    assert 'gap.design.keep = "plan"' in str(error.value)
+    assert "no such plan" in str(error.value)

@@ -1,9 +1,7 @@
-"""Quotas and branch and bound in a study: plans, certificates, refusals.
-
-Plans are compared with every subset of eight candidates.
-"""
+"""Quotas, branch and bound and weights in a study: plans, certificates, refusals."""
 
 import itertools
+import sys
 
 import numpy as np
 import pytest
@@ -183,3 +181,36 @@ def test_branching_is_refused_where_it_does_not_apply(design, tables, message):
     plan = design + "branch_nodes = 5\n" + KNOWN
     with pytest.raises(InputError, match=message):
         chosen(text(plan, tables=GRID.format(name="cup") + tables))
+
+
+@pytest.mark.parametrize("solver", ["built_in", "clarabel"])
+def test_a_study_with_weights_runs(solver, tmp_path):
+    """Weights are the kernel's (tests/oed/design/test_relaxation.py); the largest are read."""
+    path = tmp_path / "weights.study.toml"
+    fields = f'criterion = "D"\nmethod = "relaxed"\nsolver = "{solver}"\n'
+    path.write_text(text(fields + KNOWN))
+    result = stages.run_study(study.Study.load(path), tmp_path / "out")
+    design = result.design
+    assert design.relaxed.weights
+    assert design.n == 3
+    assert "largest of the relaxation's weights" in design.words
+
+
+@pytest.mark.parametrize(("design", "field", "words"), [
+    ('method = "relaxed"\ncriterion = "kappa"\n', "method", "not kappa"),
+    ('method = "relaxed"\nbranch_nodes = 5\n', "method", "branch_nodes"),
+    ('method = "relaxed"\nequal = "setup"\n', "method", "equal"),
+    ('method = "relaxed"\ncompare = ["A"]\n', "method", "compare"),
+    ('solver = "scs"\n', "solver", 'method = "relaxed"'),
+])  # fmt: skip
+def test_what_weights_do_not_go_with_is_refused(design, field, words):
+    with pytest.raises(InputError) as error:
+        chosen(text(design + KNOWN))
+    assert f"design.{field}" in str(error.value)
+    assert words in str(error.value)
+
+
+def test_a_solver_that_is_not_installed_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scs", None)
+    with pytest.raises(InputError, match=r"pip install pkm-oed\[scs\]"):
+        chosen(text('method = "relaxed"\nsolver = "scs"\n' + KNOWN))
