@@ -1,12 +1,13 @@
 """Checks the readings of a session before they are fitted, and says what is wrong."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 from msgspec.structs import replace
 
-from oed.base import Array, Index, Mask
+from oed.base import Index, Mask
 from oed.checks import copies, sentences
 from oed.checks.explain import Explanation, explain
 from oed.checks.findings import PHYSICAL_KINDS, CheckFinding, Severity, listing
@@ -128,14 +129,48 @@ class CheckedSession:
                 fitted, law_p_low=checked.law_p_low, law_p_high=checked.law_p_high
             )
         findings = [f for f in self.findings if f.kind not in FIT_KINDS]
-        of_fit = _fit_findings(
-            self.session, self.search, fitted, self.explanations, noise_is_a_guess
-        )
+        of_fit = self.fit_findings(fitted, noise_is_a_guess=noise_is_a_guess)
         # at other parameters the stated noise may explain them
         is_stated = self.explained_as_stated
         findings += [f for f in of_fit if not (is_stated and f.kind == "law")]
         findings.sort(key=lambda finding: finding.severity)
         return dataclasses.replace(self, findings=tuple(findings), goodness=fitted)
+
+    def fit_findings(
+        self, fitted: Goodness | None, *, noise_is_a_guess: bool
+    ) -> list[CheckFinding]:
+        """How large the residuals of a fit are, where no mistake explains them."""
+        search = self.search
+        if self.explanations:
+            return []
+        if fitted is None or search is None:
+            return [sentences.no_fit()]
+        is_bad = fitted.is_bad(noise_is_a_guess=noise_is_a_guess)
+        if is_bad or search.exhausted:
+            return [sentences.too_large(self.session, fitted, search)]
+        if fitted.ratio is None:
+            return []
+        if fitted.too_large:
+            return [sentences.guessed(fitted.ratio, search)]
+        if fitted.p_high < ALARM_PROBABILITY and fitted.ratio > RATIO_BY_LAW:
+            return [sentences.explained_by_law(fitted, search)]
+        if fitted.too_small:
+            return [sentences.too_small(fitted, search)]
+        return []
+
+    def reading_findings(self, ranges: Ranges, outside: Index) -> list[CheckFinding]:
+        """Outliers, and values outside (k,) their predicted range that are not named so."""
+        session, outliers = self.session, self.outliers
+        findings: list[CheckFinding] = []
+        named: list[int] = []
+        if outliers is not None:
+            exchanged = _exchanged(session, outliers)
+            findings += sentences.outliers(session, outliers, exchanged)
+            named = [one.reading for one in outliers.far]
+        left_over = outside[~np.isin(session.reading_of_value[outside], named)]
+        if left_over.size:
+            findings.append(sentences.outside(session, ranges, left_over))
+        return findings
 
     @property
     def bad_fit(self) -> bool:
@@ -176,15 +211,13 @@ class CheckedSession:
         """The check as the result holds it."""
         outliers = self.outliers
         none = GoodnessSection(None, None, None, None)
-        unlocated = () if self.outliers is None else self.outliers.unlocated
-        row = self.session.values["row"].to_numpy()
-        first = np.searchsorted(self.session.reading_of_value, sorted(unlocated))
+        unlocated = () if outliers is None else sorted(outliers.unlocated)
         return replace(
             none if self.goodness is None else self.goodness.section,
             bad_fit=self.bad_fit,
             outliers=self._records(() if outliers is None else outliers.gross),
             doubtful=self._records(() if outliers is None else outliers.doubtful),
-            unlocated=[int(k) for k in row[first]],
+            unlocated=[int(row) for row in self.session.rows(unlocated)],
             mistakes=[
                 MistakeRecord(what=one.what, evidence=sentences.evidence(one))
                 for one in self.explanations
@@ -229,31 +262,25 @@ def check_session(
     judgement = judge(
         session, suspects, estimated=noise_is_estimated, robust=noise_is_a_guess
     )
-    outliers, fitted = judgement.outliers, judgement.fitted
+    fitted = judgement.fitted
     explanations = _explanations(session, measurement, judgement)
     if explanations:
         every = fit(session)
         fitted = None if every is None else goodness(every)
-    single = outliers is not None and not outliers.exhausted and not explanations
+    checked = CheckedSession(
+        session, (), fitted, judgement.outliers, tuple(explanations)
+    )
     findings = [
         *sentences.explained(explanations),
         *_copies(session, ranges),
         *sentences.contradicting(contradictions(session)),
         *wrong_times(session),
         *doubtful_conditions(session),
-        *_fit_findings(session, outliers, fitted, explanations, noise_is_a_guess),
+        *checked.fit_findings(fitted, noise_is_a_guess=noise_is_a_guess),
+        *checked.reading_findings(ranges, outside),
     ]
-    if single and outliers is not None:
-        findings += sentences.outliers(session, outliers, _exchanged(session, outliers))
-    findings += _outside(session, ranges, outside, outliers if single else None)
     findings.sort(key=lambda finding: finding.severity)
-    return CheckedSession(
-        session=session,
-        findings=tuple(findings),
-        goodness=fitted,
-        search=outliers,
-        explanations=tuple(explanations),
-    )
+    return dataclasses.replace(checked, findings=tuple(findings))
 
 
 def _explanations(
@@ -276,31 +303,6 @@ def _explanations(
     return [one for one in likely if one.kind not in PHYSICAL_KINDS]
 
 
-def _fit_findings(
-    session: SessionReadings,
-    outliers: OutlierSearch | None,
-    fitted: Goodness | None,
-    explanations: Sequence[Explanation],
-    noise_is_a_guess: bool,
-) -> list[CheckFinding]:
-    if explanations:
-        return []
-    if fitted is None or outliers is None:
-        return [sentences.no_fit()]
-    is_bad = fitted.is_bad(noise_is_a_guess=noise_is_a_guess)
-    if is_bad or outliers.exhausted:
-        return [sentences.too_large(session, fitted, outliers)]
-    if fitted.ratio is None:
-        return []
-    if fitted.too_large:
-        return [sentences.guessed(fitted.ratio, outliers)]
-    if fitted.p_high < ALARM_PROBABILITY and fitted.ratio > RATIO_BY_LAW:
-        return [sentences.explained_by_law(fitted, outliers)]
-    if fitted.too_small:
-        return [sentences.too_small(fitted, outliers)]
-    return []
-
-
 def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
     findings = []
     computed = copies.computed_readings(session, ranges.nominal, ranges.sd)
@@ -319,20 +321,6 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
     return findings
 
 
-def _outside(
-    session: SessionReadings,
-    ranges: Ranges,
-    outside: Index,
-    outliers: OutlierSearch | None,
-) -> list[CheckFinding]:
-    """Readings outside their predicted range that are not named as outliers."""
-    named: Array = np.empty(0)
-    if outliers is not None:
-        named = np.array([one.reading for one in outliers.far])
-    left_over = outside[~np.isin(session.reading_of_value[outside], named)]
-    return [sentences.outside(session, ranges, left_over)] if left_over.size else []
-
-
 def _exchanged(
     session: SessionReadings, outliers: OutlierSearch
 ) -> tuple[int, int] | None:
@@ -341,15 +329,14 @@ def _exchanged(
     if not 2 <= len(numbers) <= 6:
         return None
     reading = session.reading_of_value
-    for i, first in enumerate(numbers):
-        for second in numbers[i + 1 :]:
-            one, other = (np.flatnonzero(reading == k) for k in (first, second))
-            y = session.y.copy()
-            if len(one) != len(other):
-                continue
-            y[one], y[other] = session.y[other], session.y[one]
-            rest = [k for k in numbers if k not in (first, second)]
-            solution = fit(session.with_y(y).without(rest), outliers.solution.theta)
-            if solution is not None and not goodness(solution).too_large:
-                return first, second
+    for pair in itertools.combinations(numbers, 2):
+        one, other = (np.flatnonzero(reading == k) for k in pair)
+        y = session.y.copy()
+        if len(one) != len(other):
+            continue
+        y[one], y[other] = session.y[other], session.y[one]
+        rest = [k for k in numbers if k not in pair]
+        solution = fit(session.with_y(y).without(rest), outliers.solution.theta)
+        if solution is not None and not goodness(solution).too_large:
+            return pair
     return None

@@ -254,7 +254,7 @@ def outliers(
     """Each outlier, and each reading that may be one, with row, column, value and what the
     others predict.
     """
-    findings = []
+    findings: list[CheckFinding] = []
     if exchanged is not None:
         rows = session.rows(exchanged)
         sentence = (
@@ -262,21 +262,20 @@ def outliers(
             " other one stands."
         )
         findings.append(CheckFinding(Severity.OUTLIER, "exchanged", sentence, rows))
-    for one in found_rows.gross:
-        sentence = (
-            f"{_contradiction(session, one)}: the row is set aside."
-            f"{other_number(session, found_rows.solution, one)}"
-        )
-        row = session.rows([one.reading])
-        findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
-    for one in found_rows.doubtful:
-        sentence = (
-            f"{_contradiction(session, one)}. It may be a gross error or noise of heavy"
+    for one in found_rows.far:
+        severity, kind = Severity.REMARK, "doubtful"
+        verdict = (
+            ". It may be a gross error or noise of heavy"
             f" tails (posterior odds below {GROSS_ODDS:.0f}): the row stays in the fit. Take"
             " this reading again."
         )
+        if one in found_rows.gross:
+            severity, kind = Severity.OUTLIER, "outlier"
+            number = other_number(session, found_rows.solution, one)
+            verdict = f": the row is set aside.{number}"
+        sentence = f"{_contradiction(session, one)}{verdict}"
         row = session.rows([one.reading])
-        findings.append(CheckFinding(Severity.REMARK, "doubtful", sentence, row))
+        findings.append(CheckFinding(severity, kind, sentence, row))
     return findings
 
 
