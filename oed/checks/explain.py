@@ -27,7 +27,6 @@ from oed.checks.screening import (
     Score,
     Screening,
     linear_readings,
-    log_density_of_any,
     log_evidence,
 )
 from oed.checks.session import SessionReadings
@@ -417,7 +416,7 @@ def undone(data: Suspect, candidate: Candidate) -> Explanation | None:
         if fits is None:
             return None
         log_posterior = candidate.log_prior + trial.log_scale
-        log_posterior += _log_missing(data, trial)
+        log_posterior += trial.log_density_missing
         amounts = sd = trial.amounts
         if len(amounts):
             amounts, sd = fits[0].amounts, fits[0].sd
@@ -509,15 +508,6 @@ def _drop_outliers(solution: Fit) -> tuple[Fit, float]:
     if result is None or result.exhausted or not result.far:
         return solution, 0.0
     far = [one.reading for one in result.far]
-    values = np.flatnonzero(np.isin(session.reading_of_value, far))
+    values = np.isin(session.reading_of_value, far)
     choices = len(far) * float(np.log(1 + session.reading_of_value[-1]))
-    return result.rest, log_density_of_any(Suspect(session), values) - choices
-
-
-def _log_missing(data: Suspect, trial: MistakeTrial) -> float:
-    """Log density of the values that a trial does not place, SI."""
-    if trial.missing is None:
-        return 0.0
-    if trial.log_missing is not None:
-        return trial.log_missing
-    return log_density_of_any(data, np.flatnonzero(trial.missing))
+    return result.rest, Suspect(session).log_density_of_any(values) - choices

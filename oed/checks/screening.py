@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from oed.base import Array, Index, Mask
+from oed.base import Array, Mask
 from oed.checks.fit import Fit
 from oed.checks.mistakes.suspect import Suspect
 from oed.checks.mistakes.trial import MistakeTrial
@@ -151,14 +151,10 @@ class Screening:
             return dataclasses.replace(one, scale=other.scale).plus(other.log_evidence)
         if trial.missing is None:
             return self._rows_score(white, slopes, np.ones(len(y), dtype=bool))
-        missing = trial.missing
-        log_density = trial.log_missing
-        if log_density is None:
-            log_density = log_density_of_any(data, np.flatnonzero(missing))
         # the evidence leaves out the constants that the density has
-        constants = np.log(data.sigma[missing]) + 0.5 * np.log(2.0 * np.pi)
-        score = self._rows_score(white, slopes, ~missing)
-        return score.plus(log_density + float(constants.sum()))
+        constants = np.log(data.sigma[trial.missing]) + 0.5 * np.log(2.0 * np.pi)
+        score = self._rows_score(white, slopes, ~trial.missing)
+        return score.plus(trial.log_density_missing + float(constants.sum()))
 
     def _rows_score(self, white: Array, slopes: Array, rows: Mask) -> Score:
         """Score of some rows; 0 for none."""
@@ -229,13 +225,6 @@ def gains_of_amounts(grams: Array) -> tuple[Array, Array]:
     is_large = size > 1.0
     gain = np.where(is_large, gain, 0.0) - LOG_SIZE_RANGE
     return gain, np.where(is_large[:, None], amounts / unit, 0.0)
-
-
-def log_density_of_any(data: Suspect, values: Index) -> float:
-    """Log density, SI, of values that may be anything: heavy-tailed about nominal."""
-    width = 3.0 * data.spread[values]
-    away = (data.session.y[values] - data.predicted[values]) / width
-    return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
 
 
 def _values_alone(trial: MistakeTrial) -> Array | None:

@@ -172,6 +172,12 @@ class Suspect:
         by_tolerance = np.linalg.norm(self.slopes, axis=1)
         return np.asarray(np.hypot(by_tolerance, self.sigma))
 
+    def log_density_of_any(self, values: Mask) -> float:
+        """Log density, SI, of values (N,) that may be anything: heavy-tailed about nominal."""
+        width = 3.0 * self.spread[values]
+        away = (self.session.y[values] - self.predicted[values]) / width
+        return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
+
     @functools.cached_property
     def channel(self) -> Array:
         """Channel (N,) of each value, by name."""

@@ -78,6 +78,13 @@ class MistakeTrial:
     #: the same mistake in other readings; None where it has one scope
     on: "OnScope | None" = None
 
+    @property
+    def log_density_missing(self) -> float:
+        """Log density of the values that the trial does not place, SI."""
+        if self.missing is None or self.log_missing is not None:
+            return self.log_missing or 0.0
+        return self.scope.data.log_density_of_any(self.missing)
+
     def undo(self, amounts: Array) -> Sequence[SessionReadings]:
         """Sessions without the mistake: one, or several of machines apart."""
         if self.change is not None:
