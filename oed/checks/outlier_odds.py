@@ -251,20 +251,19 @@ def _commands_undone(part: SessionReadings) -> Iterator[tuple[str, Series]]:
     pose = series.index[0, 0]
     tool = np.array(measurement.setups[series.setup].tool)
     for k, coordinate in enumerate(measurement.machine.command):
-        column = ReadingsColumn.of(coordinate.name, coordinate.unit).name
-        factor = ReadingsColumn.parse(column).factor
-        written = float(series.command[pose, k]) / factor
+        column = ReadingsColumn.of(coordinate.name, coordinate.unit)
+        written = float(series.command[pose, k]) / column.factor
         if len(f"{abs(written):.9g}".replace(".", "")) > 5:
             continue
         for text, number in _slips(written):
             command = series.command.copy()
-            command[pose, k] = number * factor
+            command[pose, k] = number * column.factor
             try:
                 x, q = measurement.kinematics.sent(command, tool)
             except CANNOT_BE:
                 continue
             there = dataclasses.replace(series, q=q, start=x, command=command)
-            yield f"{text} of the command, {column} = {number:.9g}", there
+            yield f"{text} of the command, {column.name} = {number:.9g}", there
 
 
 def _slips(value: float) -> Iterator[tuple[str, float]]:

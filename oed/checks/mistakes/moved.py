@@ -17,7 +17,7 @@ from oed.checks.session import SessionReadings
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
-from oed.model import Machine
+from oed.model import Coordinate, Machine
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]
@@ -304,19 +304,17 @@ def wrapped(command: Array, machine: Machine) -> Array:
     """Commands (n, n_dof) with angles that turn freely brought into their range."""
     turned = command.copy()
     for k, coordinate in enumerate(machine.command):
-        if coordinate.unit == "rad" and turns_freely(
-            coordinate.lower, coordinate.upper
-        ):
-            turned[:, k] -= FULL_TURN * np.floor(
-                (turned[:, k] - coordinate.lower) / FULL_TURN
-            )
+        if turns_freely(coordinate):
+            turns = np.floor((turned[:, k] - coordinate.lower) / FULL_TURN)
+            turned[:, k] -= FULL_TURN * turns
     return turned
 
 
-def turns_freely(lower: float, upper: float) -> bool:
-    """Whether an angle's range is a full turn."""
-    span = upper - lower
-    return bool(np.isfinite(span) and span >= FULL_TURN * (1.0 - RANGE_TOLERANCE))
+def turns_freely(coordinate: Coordinate) -> bool:
+    """Whether it is an angle whose range is a full turn."""
+    span = coordinate.upper - coordinate.lower
+    is_turn = np.isfinite(span) and span >= FULL_TURN * (1.0 - RANGE_TOLERANCE)
+    return coordinate.unit == "rad" and bool(is_turn)
 
 
 def change_column(k: int, meant: Change) -> Change:

@@ -15,6 +15,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.checks.mistakes.moved import (
+    FULL_TURN,
     Change,
     Moved,
     SoughtAmount,
@@ -67,27 +68,18 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 def sought_amounts(coordinate: Coordinate) -> Iterator[SoughtAmount]:
     """Amounts by which a coordinate is displaced first."""
-    lower, upper = coordinate.lower, coordinate.upper
-    if _turns(coordinate):
-        spread = RELATIVE_SPREAD * 2.0 * np.pi / TURN_STEPS
+    span = coordinate.upper - coordinate.lower
+    if turns_freely(coordinate):
+        step = FULL_TURN / TURN_STEPS
+        spread = RELATIVE_SPREAD * step
         for k in range(1, TURN_STEPS):
-            turn = (
-                (k if k <= TURN_STEPS // 2 else k - TURN_STEPS)
-                * 2.0
-                * np.pi
-                / TURN_STEPS
-            )
-            yield SoughtAmount(turn, spread, RELATIVE_STEP * spread, str(k))
-    elif np.isfinite(upper - lower):
+            number = k if k <= TURN_STEPS // 2 else k - TURN_STEPS
+            yield SoughtAmount(number * step, spread, RELATIVE_STEP * spread, str(k))
+    elif np.isfinite(span):
         for share, sign in itertools.product(RANGE_SHARES, (1.0, -1.0)):
-            away = share * (upper - lower)
+            away = share * span
             spread = RELATIVE_SPREAD * away
             yield SoughtAmount(sign * away, spread, RELATIVE_STEP * spread)
-
-
-def _turns(coordinate: Coordinate) -> bool:
-    ends = coordinate.lower, coordinate.upper
-    return coordinate.unit == "rad" and turns_freely(*ends)
 
 
 def _changes(data: Suspect) -> Iterator[tuple[str, Change]]:
@@ -156,7 +148,7 @@ def high_or_low(
 def _displacement(
     coordinate: Coordinate, rows: str, scope: Scope, amounts: Array, sd: Array
 ) -> str:
-    if _turns(coordinate) and rows == "file":
+    if turns_freely(coordinate) and rows == "file":
         name = ReadingsColumn.of(coordinate.name, coordinate.unit).name
         start = amount(amounts[0], sd[0], "deg")
         return f"{name} starts {start} from where it should{scope.within}"
@@ -174,7 +166,7 @@ def _programs(data: Suspect) -> Iterator[MistakeTrial]:
     command = data.session.measurement.machine.command
     if len(command) > 3 or not np.isfinite(data.length).any():
         return
-    straight = [k for k, c in enumerate(command) if not turns_freely(c.lower, c.upper)]
+    straight = [k for k, c in enumerate(command) if not turns_freely(c)]
     for k, follower in itertools.permutations(straight, 2):
         yield from _follower_trials(data, k, follower)
     for follower in straight:

@@ -198,9 +198,9 @@ class Suspect:
     def columns(self) -> dict[str, Array]:
         """The same (n,) by column of the file, in its unit."""
         command = self.session.measurement.machine.command
-        names = [ReadingsColumn.of(c.name, c.unit).name for c in command]
-        factors = [ReadingsColumn.parse(name).factor for name in names]
-        return dict(zip(names, (self.command / factors).T, strict=True))
+        columns = [ReadingsColumn.of(c.name, c.unit) for c in command]
+        pairs = zip(columns, self.command.T, strict=True)
+        return {column.name: values / column.factor for column, values in pairs}
 
     @functools.cached_property
     def length(self) -> Array:
