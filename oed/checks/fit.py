@@ -95,11 +95,13 @@ class Fit:
 
     def half_covariance(self) -> Array:
         """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes."""
-        return half_covariance(self.slopes)
-
-    def weights(self) -> Array:
-        """Weights (N,), eigenvalues of 1 - A (1 + A^T A)^-1 A^T, of chi2's terms."""
-        return residual_weights(self.slopes)
+        # by singular values: a sum of large squares would lose the 1
+        count = min(self.slopes.shape)
+        triangle = scipy.linalg.qr(self.slopes, mode="r")[0][:count]
+        _, singular, vectors = scipy.linalg.svd(triangle, full_matrices=True)
+        size = np.zeros(len(vectors))
+        size[: len(singular)] = singular
+        return np.asarray(vectors.T / np.hypot(1.0, size))
 
 
 def fit(
@@ -272,21 +274,12 @@ class _Problem:
 
 
 def residual_weights(slopes: Array) -> Array:
-    """Eigenvalues (N,) of 1 - A (1 + A^T A)^-1 A^T, A whitened slopes (N, r)."""
+    """Eigenvalues (N,) of 1 - A (1 + A^T A)^-1 A^T, A whitened slopes (N, r): weights of
+    the terms of a sum of squared residuals.
+    """
     count = len(slopes)
     singular = scipy.linalg.svdvals(slopes)[:count]
     return np.concatenate([1.0 / (1.0 + singular**2), np.ones(count - len(singular))])
-
-
-def half_covariance(slopes: Array) -> Array:
-    """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes (N, r)."""
-    # by singular values: a sum of large squares would lose the 1
-    count = min(slopes.shape)
-    triangle = scipy.linalg.qr(slopes, mode="r")[0][:count]
-    _, singular, vectors = scipy.linalg.svd(triangle, full_matrices=True)
-    size = np.zeros(len(vectors))
-    size[: len(singular)] = singular
-    return np.asarray(vectors.T / np.hypot(1.0, size))
 
 
 # Goodness of fit against the stated noise, with a probability in both tails.
@@ -328,16 +321,15 @@ class Goodness:
     @property
     def too_small(self) -> bool:
         """Whether the stated noise, or its law, would leave larger residuals."""
-        return (
-            self.p_low if self.law_p_low is None else self.law_p_low
-        ) < ALARM_PROBABILITY
+        p_low = self.p_low if self.law_p_low is None else self.law_p_low
+        return p_low < ALARM_PROBABILITY
 
 
 def goodness(solution: Fit) -> Goodness:
     """Goodness of a fit, by a scaled chi-squared law of the right mean and variance
     (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114).
     """
-    return goodness_of(solution.chi2, solution.weights())
+    return goodness_of(solution.chi2, residual_weights(solution.slopes))
 
 
 def goodness_of_estimate(
