@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 
@@ -55,7 +54,19 @@ def _stopped(data: Suspect, k: int, sign: float) -> Iterator[MistakeTrial]:
         change = change_column(k, lambda values: stop(values, end))
         return jointed(data.session.measurement, change)
 
-    text = partial(_stop_words, data, k, sign)
+    joint = data.session.measurement.machine.joints[k]
+    way, unit = ("longer" if sign > 0.0 else "shorter"), "mm"
+    if joint.unit == "rad":
+        way, unit = "further", "deg"
+
+    def text(scope: Scope, amounts: Array, sd: Array) -> str:
+        is_beyond = sign * data.session.joints[:, k] > sign * amounts[0]
+        rows = data.session.rows(np.flatnonzero(is_beyond))
+        return (
+            f"{joint.name} went no {way} than {amount(amounts[0], sd[0], unit, with_sd=True)}:"
+            f" it stood at its stop in the rows {', '.join(str(row) for row in rows)}"
+        )
+
     for stop in _likely_stops(data, k, sign):
         sought = SoughtAmount(stop, spread=5e-3, step=1e-5)
         family = f"stop {k} {sign:g}"
@@ -80,22 +91,6 @@ def _likely_stops(data: Suspect, k: int, sign: float) -> list[float]:
         return []
     ends = joints[order][[beyond - 1, min(beyond, len(order) - 1)]]
     return [sign * float(ends.mean()), sign * float(ends[1])]
-
-
-def _stop_words(
-    data: Suspect, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
-) -> str:
-    joint = data.session.measurement.machine.joints[k]
-    unit = "mm"
-    way = "longer" if sign > 0.0 else "shorter"
-    if joint.unit == "rad":
-        unit, way = "deg", "further"
-    is_beyond = sign * data.session.joints[:, k] > sign * amounts[0]
-    rows = data.session.rows(np.flatnonzero(is_beyond))
-    return (
-        f"{joint.name} went no {way} than {amount(amounts[0], sd[0], unit, with_sd=True)}:"
-        f" it stood at its stop in the rows {', '.join(str(row) for row in rows)}"
-    )
 
 
 def likely_orders(count: int) -> list[tuple[int, ...]]:
