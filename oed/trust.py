@@ -45,8 +45,9 @@ def section_objections(
     if final is None:
         return []
     far = far_parameters(final)
-    fails_check = goodness is not None and goodness.bad_fit
-    sentences = [_check_reasons(goodness)] if fails_check else []
+    sentences = []
+    if goodness is not None and goodness.bad_fit:
+        sentences.append(_check_reasons(goodness))
     if corrected is not None:
         sentences += corrected.warnings
     elif not sentences and estimate is not None:
@@ -87,10 +88,8 @@ def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
     ]
 
 
-def _check_reasons(goodness: GoodnessSection | None) -> str:
+def _check_reasons(goodness: GoodnessSection) -> str:
     """What a check of the readings found."""
-    if goodness is None:
-        return ""
     ratio = noise_ratio(goodness.chi2, goodness.dof)
     if goodness.mistakes:
         return (

@@ -188,19 +188,15 @@ class _Steps:
             step, limited = self._limited_step(trying, system, rows[waiting])
             lower = self._move(trying, step)
             self._longest[trying[lower & limited]] *= LENGTH_GROWTH
-            self._remember(trying[lower], step[lower], system, rows[waiting[lower]])
+            moved, of_moved = trying[lower], rows[waiting[lower]]
+            self._last[moved] = step[lower]
+            self._descent[moved] = (system.pull[of_moved] * step[lower]).sum(axis=1)
+            curvature = system.mean_curvature(of_moved, self._damping[moved])
+            self._curvature[moved] = curvature
             waiting = waiting[~lower]
             least = system.least_damping()[rows[waiting]]
             self._raise_damping(machines[waiting], least)
         return np.delete(machines, waiting)
-
-    def _remember(
-        self, machines: Index, step: Array, system: _StepSystem, rows: Index
-    ) -> None:
-        """Notes the steps that machines took."""
-        self._last[machines] = step
-        self._descent[machines] = (system.pull[rows] * step).sum(axis=1)
-        self._curvature[machines] = system.mean_curvature(rows, self._damping[machines])
 
     def _limited_step(
         self, machines: Index, system: _StepSystem, rows: Index

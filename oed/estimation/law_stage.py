@@ -91,15 +91,12 @@ def integrated_stage(
     if not check.is_contradicted:
         estimate = integrate_settled(fit, first, settled)
         return dataclasses.replace(estimate, law_check=check)
-    if NoisePrior.COURSE in with_course.names and _scatters_as_stated(settled.law):
+    law = settled.law
+    # of single readings and levels of runs
+    scatter = law.scale[0] * np.hypot(1.0, law.level[0])
+    if NoisePrior.COURSE in with_course.names and scatter.max() <= KNOWN_TO:
         return integrate_settled(fit, first, settled)
     return _stated_weights(robust, fit, first, check)
-
-
-def _scatters_as_stated(law: Laws) -> bool:
-    """Whether single readings and levels of runs are within what a statement is good for."""
-    scatter = law.scale[0] * np.hypot(1.0, law.level[0])
-    return bool(scatter.max() <= KNOWN_TO)
 
 
 def _stated_weights(
@@ -277,14 +274,10 @@ def check_law(
     ratio, probability = _satterthwaite(total, expected)
     stated = Laws.stated(structure).factor(structure)
     widening = _widening(slopes, stated, errors)
-    return LawCheck(ratio, probability, widening, _correlated(structure, law))
-
-
-def _correlated(structure: ReadingStructure, law: Laws) -> float:
-    """What the first law carries along, of the group in which it is largest."""
-    if structure.statement.is_assumed:
-        return 0.0
-    return float(law.scale[0].max() * np.sqrt(law.correlated[0]))
+    correlated = 0.0
+    if not structure.statement.is_assumed:  # of the group in which it is largest
+        correlated = float(law.scale[0].max() * np.sqrt(law.correlated[0]))
+    return LawCheck(ratio, probability, widening, correlated)
 
 
 def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:

@@ -88,7 +88,10 @@ def predict_runs(
         return None
     jacobian = measurement.jacobian(series, estimate.theta)
     origin = np.where(estimate.prior_sd > 0.0, measurement.nominal, estimate.theta)
-    residual = _residuals(measurement, series, estimate)
+    residual = estimate.residuals
+    if estimate.robust_readings is not None:  # with those far off replaced
+        predicted = measurement.readings(series, estimate.theta)
+        residual = estimate.robust_readings - predicted
     about_nominal = residual + jacobian @ (estimate.theta - origin)
     noise, common = estimate.noise.split_common()
     white = noise.whiten(about_nominal)
@@ -104,16 +107,6 @@ def predict_runs(
         for label, rows in zip(labels, members, strict=True)
     ]
     return RunPrediction(tuple(runs))
-
-
-def _residuals(
-    measurement: Measurement, series: Sequence[Series], estimate: Estimate
-) -> Array:
-    """Residuals (N,), SI; those far off replaced, where the fit replaced them."""
-    if estimate.robust_readings is None:
-        return estimate.residuals
-    predicted = measurement.readings(series, estimate.theta)
-    return estimate.robust_readings - predicted
 
 
 def _predicted(label: tuple[str, str], error: Array, shared: Array) -> LeftOutRun:

@@ -239,6 +239,11 @@ def conclude(
     search = searched[best.law]
     law = search.law_at(search.noise_level(best))
     untested = search.library.not_testable
+    contents = []
+    for h in leading:
+        atoms = [searched[h.law].library.atoms[k] for k in h.atoms]
+        constants = {atom.effect: atom.constants for atom in atoms}
+        contents.append(AnswerContent(constants, h.unknown))
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)
@@ -274,7 +279,7 @@ def conclude(
         effective_laws=None if is_law_known else best.effective_laws,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
-        contents=_contents(searched, leading),
+        contents=tuple(contents),
         left_out=left_out,
     )
     return diagnosis, best
@@ -290,18 +295,6 @@ def _believed(
         believed = without(believed, key)
         left_out = (*left_out, *sorted(key[0]))
     return believed, tuple(dict.fromkeys(left_out))
-
-
-def _contents(
-    searched: Sequence[Search], leading: Sequence[Hypothesis]
-) -> tuple[AnswerContent, ...]:
-    """What hypotheses say, each in the form that suits it best."""
-    contents = []
-    for h in leading:
-        atoms = [searched[h.law].library.atoms[k] for k in h.atoms]
-        constants = {atom.effect: atom.constants for atom in atoms}
-        contents.append(AnswerContent(constants, h.unknown))
-    return tuple(contents)
 
 
 def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:

@@ -227,14 +227,13 @@ def _passive_sensors(assessment: Assessment) -> list[Trial]:
     setup = mount(sensors, sensors.name)
     trial = measurement.with_setups([*measurement.setups.values(), setup])
     series = [*assessment.series]
-    series += [_read_alone(s, setup.name) for s in assessment.series]
+    # the readings' own poses, without a reference
+    series += [
+        dataclasses.replace(s, setup=setup.name, index=s.index[:, :1])
+        for s in assessment.series
+    ]
     lost = _lost_directions(trial, series)
     return [(f"sensors on the passive joints, {', '.join(names)},", lost)]
-
-
-def _read_alone(series: Series, setup: str) -> Series:
-    """The readings' own poses, read by another set-up without a reference."""
-    return dataclasses.replace(series, setup=setup, index=series.index[:, :1])
 
 
 def _alternatives(

@@ -253,9 +253,9 @@ class CompiledJob:
         graph = read_graph(self._function)
         if graph is None or len(graph.nodes) > MAX_INSTRUCTIONS:
             return None
-        written = lane_text(graph, self._kind.job(graph))
-        self._arguments = graph, written.constants
-        return compiled_text(written.text)
+        text, constants = lane_text(graph, self._kind.job(graph))
+        self._arguments = graph, constants
+        return compiled_text(text)
 
     def _advance(self, text: CompiledText, seconds: float) -> None:
         """Take what is there; have it made if it is not, for work of some time."""

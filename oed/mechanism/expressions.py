@@ -104,15 +104,11 @@ def strut_ends(machine: Machine, e: MachineExpressions) -> list[Expr] | None:
     ends = machine.struts(e.x_by_name, e.q_by_name, e.p_by_name)
     slopes = []
     for k in range(len(machine.joints)):
-        row = _first_row_with(e.phi, e.q[k])
+        rows = (e.phi[i] for i in range(e.phi.numel()))
+        row = next(row for row in rows if ca.depends_on(row, e.q[k]))
         slopes.append(ca.jacobian(row, e.q[k]))
     base, platform = (ca.horzcat(*side) for side in zip(*ends, strict=True))
     return [base, platform, ca.vertcat(*slopes)]
-
-
-def _first_row_with(phi: Expr, joint: Expr) -> Expr:
-    rows = (phi[i] for i in range(phi.numel()))
-    return next(row for row in rows if ca.depends_on(row, joint))
 
 
 def closure_misfit(phi: Expr, x: Expr) -> Expr | None:

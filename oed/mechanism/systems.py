@@ -152,30 +152,25 @@ def solve(
             solutions.values[active] -= np.where(possible, step, 0.0).T
             ends = possible & ~goes_on
             if ends.any():
-                chords = _ChordSystems(active[ends], slopes.of(ends), size[ends])
-                _chord_steps(values, chords, step_tolerance, solutions)
+                last = active[ends], slopes.of(ends), size[ends]
+                _chord_steps(values, last, step_tolerance, solutions)
             active = active[goes_on]
             if not active.size:
                 break
     return solutions
 
 
-class _ChordSystems(NamedTuple):
-    """Systems (n,) whose steps keep the slopes, and the sizes of their last steps."""
-
-    points: Index
-    slopes: Factors
-    size: Array
-
-
 def _chord_steps(
     values: Values,
-    chords: _ChordSystems,
+    last: tuple[Index, Factors, Array],
     step_tolerance: float,
     solutions: SolvedSystems,
 ) -> None:
-    """Take steps with kept slopes; what they find is written to `solutions`."""
-    points, slopes, before = chords
+    """Take steps with kept slopes; what they find is written to `solutions`.
+
+    last  systems (n,) by number, their slopes, and the sizes of their last steps
+    """
+    points, slopes, before = last
     for remaining in reversed(range(CHORD_STEPS)):
         step = slopes.solve(values(solutions.values[points], points).T)
         solutions.values[points] -= step.T

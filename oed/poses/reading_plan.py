@@ -99,14 +99,18 @@ def symbolic_reading(
     y = ca.vertcat(*instrument.observe(frames, ss, by_name))
     by_machine = ca.jacobian(y, p)
     for x, _, phi in poses:
-        by_machine += _pose_slope(y, x, phi, p)
+        settled = phi if phi.numel() == x.numel() else ca.jacobian(phi, x).T @ phi
+        adjoint = ca.solve(ca.jacobian(settled, x).T, ca.jacobian(y, x).T)
+        by_machine -= adjoint.T @ ca.jacobian(settled, p)
     rows: Any = _all_columns(measurement, setup, by_machine, ca.jacobian(y, s))
     rows = rows @ ca.diag(ca.DM(column_scale(measurement, scaling)))
     if scaling == "tolerance":
         sources = instrument.sources and instrument.sources(frames, ss, by_name)
         rows = _whiten(rows, setup, sources)
     elif scaling == "length":
-        rows = ca.diag(ca.DM(_channel_lengths(machine, setup))) @ rows
+        units = [channel.unit for channel in instrument.channels]
+        lengths = [1.0 if unit == "m" else machine.lever for unit in units]
+        rows = ca.diag(ca.DM(lengths)) @ rows
     nuisances = ca.DM([n.nominal for n in setup.nuisances])
     at_nominal: Any = [
         ca.substitute(e, s, nuisances) for e in _nominal_values(machine, p, rows, y)
@@ -119,13 +123,6 @@ def symbolic_reading(
         ca.Function("rows", inputs, [projected], CASADI_OPTIONS),
         ca.Function("value", inputs, [y], CASADI_OPTIONS),
     )
-
-
-def _pose_slope(y: Any, x: Any, phi: Any, p: Any) -> Any:
-    """Slope of y over p by way of the pose x."""
-    settled = phi if phi.numel() == x.numel() else ca.jacobian(phi, x).T @ phi
-    adjoint = ca.solve(ca.jacobian(settled, x).T, ca.jacobian(y, x).T)
-    return -adjoint.T @ ca.jacobian(settled, p)
 
 
 def _nominal_values(machine: Machine, p: Any, *expressions: Any) -> list[Any]:
@@ -144,12 +141,6 @@ def _all_columns(
         else:
             parts.append(ca.SX(by_machine.shape[0], len(other.nuisances)))
     return ca.densify(ca.horzcat(*parts))
-
-
-def _channel_lengths(machine: Machine, setup: Setup) -> list[float]:
-    """Factors that turn the channels into lengths."""
-    channels = setup.instrument.channels
-    return [1.0 if c.unit == "m" else machine.lever for c in channels]
 
 
 def _whiten(rows: Any, setup: Setup, sources: Any | None) -> Any:

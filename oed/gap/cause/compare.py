@@ -198,11 +198,12 @@ def without_implausible(
         names = frozenset(effects[sizes > limits].tolist())
         is_impossible = bool(names)
         names = names or frozenset(effects[sizes > MAX_UNCONFIRMED].tolist())
-        carriers = [
-            carrier
-            for carrier in _carriers(results, h, names)
-            if is_impossible or carrier.log_prediction > h.log_prediction
-        ]
+        # an unknown in place of these names, or of all
+        keys = dict.fromkeys([frozenset(h.effects) - names, frozenset()])
+        carriers = [results[key, True] for key in keys if (key, True) in results]
+        if not is_impossible:
+            predicted = h.log_prediction
+            carriers = [c for c in carriers if c.log_prediction > predicted]
         if not names or not carriers:
             continue
         _hand_over(results, h, carriers[0])
@@ -228,14 +229,6 @@ def _hand_over(
     log_evidence = score - carrier.log_prior
     results[carrier.key] = dataclasses.replace(carrier, log_evidence=log_evidence)
     results[h.key] = dataclasses.replace(h, log_evidence=-np.inf)
-
-
-def _carriers(
-    results: Mapping[Key, Hypothesis], h: Hypothesis, names: frozenset[str]
-) -> list[Hypothesis]:
-    """Hypotheses with an unknown in place of some names, and in place of all."""
-    keys = dict.fromkeys([frozenset(h.effects) - names, frozenset()])
-    return [results[key, True] for key in keys if (key, True) in results]
 
 
 def _sizes(search: Search, h: Hypothesis) -> tuple[Array, Array, Array]:

@@ -180,29 +180,24 @@ def _lay_path(
     around = np.vstack([q[poses], q[poses[:1]]]) if closed else q[poses]
     ends = "periodic" if closed else "not-a-knot"
     path = scipy.interpolate.CubicSpline(length, around, bc_type=ends)
-    approach = ARRIVAL_SHARE * _steps_before(length, len(poses))
+    steps = np.diff(length)
+    # before a closed run's first pose comes its last; of an open one nothing is known
+    before_first = steps[-1] if closed else steps[0]
+    approach = ARRIVAL_SHARE * np.append(before_first, steps)[: len(poses)]
     arriving = path(places) - path(places - approach)
     sense = _sense(arriving / approach[:, None])
     reversal = _since_reversal(path, length, places - approach / 2, closed)
     if not rolling:
-        reversal = _since_corner(reversal, sense, q[poses], along, int(poses[0]))
+        corner = int(poses[0])  # before the first turn, distances are from here
+        gone = np.abs(q[poses] - q[corner])
+        onward = sense == along.sense[corner]
+        before = np.where(onward, along.reversal[corner] + gone, gone)
+        reversal = np.where(np.isinf(reversal), before, reversal)
     new = slice(0 if rolling else 1, None)
     along.rate[poses[new]] = path(places, 1)[new]
     along.acceleration[poses[new]] = path(places, 2)[new]
     along.sense[poses[new]] = sense[new]
     along.reversal[poses[new]] = reversal[new]
-
-
-def _since_corner(
-    reversal: Array, sense: Array, q: Array, along: Motion, corner: int
-) -> Array:
-    """Distances (k, nq) since a joint last turned, from the corner before q (k, nq)
-    where `reversal` is infinite.
-    """
-    gone = np.abs(q - q[:1])
-    onward = sense == along.sense[corner]
-    before = np.where(onward, along.reversal[corner] + gone, gone)
-    return np.where(np.isinf(reversal), before, reversal)
 
 
 def _path_length(point: Array) -> tuple[Array, bool]:
@@ -215,17 +210,6 @@ def _path_length(point: Array) -> tuple[Array, bool]:
     closed = len(point) >= 2 * MIN_POSES and near
     lengths = np.cumsum([*steps, last] if closed else steps)
     return np.concatenate([[0.0], lengths]), closed
-
-
-def _steps_before(length: Array, count: int) -> Array:
-    """Length of path (count,) from the pose before to each pose.
-
-    A closed run's first pose follows its last; before that of an open run nothing is
-    known, so the first step stands in.
-    """
-    steps = np.diff(length)
-    first = steps[-1] if len(length) > count else steps[0]
-    return np.concatenate([[first], steps])[:count]
 
 
 def _sense(moved: Array) -> Array:

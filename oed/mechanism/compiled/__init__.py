@@ -257,15 +257,11 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
     file = folder / f"{digest}-{_content_digest(content)}.so"
     with whole_file(file) as part:
         part.write_bytes(content)
-    _remove_oldest(folder)
-    return file
-
-
-def _remove_oldest(folder: Path) -> None:
-    """Keep the folder small: processes that have a file open keep it."""
+    # the folder stays small: processes that have a file open keep it
     files = sorted(folder.glob("*.so"), key=lambda file: file.stat().st_mtime_ns)
-    for file in files[:-MAX_FILES]:
-        file.unlink(missing_ok=True)
+    for oldest in files[:-MAX_FILES]:
+        oldest.unlink(missing_ok=True)
+    return file
 
 
 #: least number of points of a core's share: two milliseconds of work
@@ -292,16 +288,8 @@ class LaneJob(NamedTuple):
     macros: tuple[tuple[str, int], ...] = ()
 
 
-@dataclasses.dataclass(frozen=True)
-class LaneText:
-    """C text, and the constants that its functions take."""
-
-    text: str
-    constants: Array
-
-
-def lane_text(graph: Graph, job: LaneJob) -> LaneText:
-    """The C text of a job on the graph of a function."""
+def lane_text(graph: Graph, job: LaneJob) -> tuple[str, Array]:
+    """The C text of a job on the graph of a function, and the constants that it takes."""
     writer = _Writer(graph, job.varying)
     sizes = [len(row) for row in graph.outputs]
     macros = {
@@ -322,7 +310,7 @@ def lane_text(graph: Graph, job: LaneJob) -> LaneText:
     if "ROWS" in macros:
         lines.append(_template("elimination.h"))
     lines.append(_template(job.template))
-    return LaneText("\n".join(lines), np.array(writer.constants, dtype=float))
+    return "\n".join(lines), np.array(writer.constants, dtype=float)
 
 
 @functools.cache
