@@ -54,7 +54,10 @@ def canonical_rows(vectors: Array, values: Array | None = None) -> Array:
     chosen[rows[against]] *= -1.0
     for first, stop in itertools.pairwise(ends):
         if stop - first > 1:
-            chosen[first:stop] = _chosen_basis(vectors[first:stop], n)
+            space = vectors[first:stop]  # along the fixed directions, projected
+            turn, triangle = np.linalg.qr(space @ _fixed_directions(n, len(space)))
+            signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
+            chosen[first:stop] = (turn * signs).T @ space
     return chosen
 
 
@@ -68,13 +71,6 @@ def _new_groups(values: Array) -> list[int]:
         EQUAL_VALUE_TOLERANCE * size, rounding
     )
     return [int(k) + 1 for k in np.flatnonzero(differs)]
-
-
-def _chosen_basis(rows: Array, n: int) -> Array:
-    """The basis (k, n) of a space by fixed directions, projected and orthogonal."""
-    turn, triangle = np.linalg.qr(rows @ _fixed_directions(n, len(rows)))
-    signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
-    return (turn * signs).T @ rows
 
 
 @functools.lru_cache(maxsize=64)

@@ -146,15 +146,6 @@ class PlannedReadings:
         return remaining_error(white, information, pose_gradients, rest)
 
 
-def thermometer_scatter(effects: CourseColumns, kelvin: Array) -> Array:
-    """Scatter (N,) by a thermometer's uncertainty, SI.
-
-    effects  what depends on the body's temperature;  kelvin (d, r) in each course, K
-    """
-    square = (effects.changes**2).sum(axis=2).mean(axis=0)
-    return np.asarray(THERMOMETER_UNCERTAINTY * np.sqrt(square / np.mean(kelvin**2)))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecordedCase:
     """Readings with the effects in some courses."""
@@ -251,7 +242,8 @@ class RecordedCase:
         measured = warm.effects.take(warm.restrict_to_bodies(effect, bodies))
         names = [f"{TEMPERATURE}{body}" for body in bodies]
         kelvin = np.array([c.covariates[names] for c in warm.courses])
-        extra = thermometer_scatter(measured, kelvin)
+        square = (measured.changes**2).sum(axis=2).mean(axis=0)
+        extra = THERMOMETER_UNCERTAINTY * np.sqrt(square / np.mean(kelvin**2))
         size = self.effects.take(hidden).rms / measured.rms
         others = self.effects.take(~hidden)
         both = others.joined(measured.scaled(size))

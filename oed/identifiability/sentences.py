@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed import text, units
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index
 from oed.identifiability import identifiability
 from oed.identifiability.assessment import Assessment, Readings, recoveries
 from oed.result import IdentifiabilityFinding
@@ -26,8 +26,7 @@ def explain(
 ) -> list[IdentifiabilityFinding]:
     """An assessment in sentences, with `alternatives` by name as remedies."""
     findings = [
-        _determined(assessment),
-        _weakly_determined(assessment),
+        *_one_by_one(assessment),
         _weak_common_errors(assessment),
         _combinations(assessment),
         _lost(assessment, alternatives or {}),
@@ -68,36 +67,28 @@ def _ratio(pivot_unit: str, unit: str) -> str:
     return f"{pivot_unit}/{unit} "
 
 
-def _determined(assessment: Assessment) -> IdentifiabilityFinding:
-    by_itself = _determined_by_itself(assessment)
-    strong = np.flatnonzero(by_itself & (assessment.shrinkage <= WEAK_SHRINKAGE))
-    if not strong.size:
-        return IdentifiabilityFinding(
-            "weak", "The readings determine no parameter by itself."
-        )
-    return IdentifiabilityFinding(
-        "seen",
-        "Determined one by one, with the standard deviation before and after the"
-        f" readings: {_shrinkages(assessment, strong)}.",
-    )
-
-
-def _weakly_determined(assessment: Assessment) -> IdentifiabilityFinding | None:
-    by_itself = _determined_by_itself(assessment)
-    weak = np.flatnonzero(by_itself & (assessment.shrinkage > WEAK_SHRINKAGE))
-    if not weak.size:
-        return None
-    return IdentifiabilityFinding(
-        "weak",
-        "Determined in principle, but in practice these stay near their tolerance:"
-        f" {_shrinkages(assessment, weak)}.",
-    )
-
-
-def _determined_by_itself(assessment: Assessment) -> Mask:
-    """Mask (n,) of the parameters that no null direction moves."""
+def _one_by_one(assessment: Assessment) -> list[IdentifiabilityFinding]:
+    """Parameters that no null direction moves, those near their tolerance by themselves."""
     null_space = assessment.identifiability.null_space
-    return np.asarray(np.sum(null_space**2, axis=0) < 1e-12)
+    by_itself = np.asarray(np.sum(null_space**2, axis=0) < 1e-12)
+    is_weak = assessment.shrinkage > WEAK_SHRINKAGE
+    strong = np.flatnonzero(by_itself & ~is_weak)
+    weak = np.flatnonzero(by_itself & is_weak)
+    first = "weak", "The readings determine no parameter by itself."
+    if strong.size:
+        first = (
+            "seen",
+            "Determined one by one, with the standard deviation before and after the"
+            f" readings: {_shrinkages(assessment, strong)}.",
+        )
+    findings = [IdentifiabilityFinding(*first)]
+    if weak.size:
+        sentence = (
+            "Determined in principle, but in practice these stay near their tolerance:"
+            f" {_shrinkages(assessment, weak)}."
+        )
+        findings.append(IdentifiabilityFinding("weak", sentence))
+    return findings
 
 
 def _shrinkages(assessment: Assessment, indices: Index) -> str:

@@ -79,15 +79,6 @@ class LawProposal:
 Proposal = StudentProposal | LawProposal  #: draws points and knows their density
 
 
-def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:
-    """The proposal for a density; an estimated law takes some draws to place it."""
-    if target.law is None:
-        return StudentProposal(target.centre, target.root)
-    model = target.linear_model()
-    fitted = target.law
-    return LawProposal(model, fitted, fitted.kernels(model, rng))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Proposals:
     """Weighted proposals."""
@@ -235,7 +226,10 @@ def sample_independent(
     """Independent draws worth `ess`, or None; the proposals and k of their weights.
     Raises KeyboardInterrupt, OutOfBoundsError.
     """
-    proposal = proposal_of(target, rng)
+    proposal: Proposal = StudentProposal(target.centre, target.root)
+    if target.law is not None:  # some draws place it
+        model = target.linear_model()
+        proposal = LawProposal(model, target.law, target.law.kernels(model, rng))
     goal = reachable = min(ess, max_draws / SPARES[0])
     while True:
         proposals, k, chosen = draw_weighted(

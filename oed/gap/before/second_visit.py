@@ -79,13 +79,6 @@ def candidate_runs(
     return runs
 
 
-def with_other_covariates(rows: pd.DataFrame, taken: pd.DataFrame) -> pd.DataFrame:
-    """Covariates of runs to come, with temperatures and tensions as read last."""
-    others = [c for c in taken if c not in (*rows, *CONDITIONS, "repeat")]
-    last = {c: taken[c].dropna() for c in others}
-    return rows.assign(**{c: v.iloc[-1] if len(v) else np.nan for c, v in last.items()})
-
-
 def _is_known(table: pd.DataFrame, name: str) -> bool:
     return name in table and bool(table[name].notna().any())
 
@@ -311,7 +304,11 @@ def propose(
     if not possible:
         return None
     both, rows = both_visits(taken, possible)
-    law = law_of_both(diagnosis.law, taken, both)
+    # new channels are as the first
+    more = len(both.structure.names) - len(taken.structure.names)
+    laws = diagnosis.law.law
+    scale = np.pad(laws.scale, ((0, 0), (0, more)), constant_values=1.0)
+    law = dataclasses.replace(diagnosis.law, law=dataclasses.replace(laws, scale=scale))
     forms = answer_forms(diagnosis, taken, both, law, effects)
     first = np.arange(len(taken))
     pool, inseparable = _pool(both, law, rows, forms, first)
@@ -349,7 +346,13 @@ def both_visits(
 ) -> tuple[GapProblem, tuple[Index, ...]]:
     """The readings taken and all candidates as one problem, and each run's rows in it."""
     series, covariates = lay_out(taken.measurement, candidates)
-    rows = with_other_covariates(covariates, taken.covariates)
+    # temperatures and tensions as read last
+    stated = (*covariates, *CONDITIONS, "repeat")
+    others = [c for c in taken.covariates if c not in stated]
+    last = {c: taken.covariates[c].dropna() for c in others}
+    rows = covariates.assign(
+        **{c: v.iloc[-1] if len(v) else np.nan for c, v in last.items()}
+    )
     both = assemble(
         taken.measurement,
         [*taken.series, *series],
@@ -360,13 +363,6 @@ def both_visits(
     unread = np.zeros(len(both) - len(taken))
     both = both.with_residual(np.concatenate([taken.residual, unread]))
     return both, rows_of_runs(both, candidates, len(taken))
-
-
-def law_of_both(law: NoiseLaw, taken: GapProblem, both: GapProblem) -> NoiseLaw:
-    """A law of the readings taken for those to come; new channels are as the first."""
-    more = len(both.structure.names) - len(taken.structure.names)
-    scale = np.pad(law.law.scale, ((0, 0), (0, more)), constant_values=1.0)
-    return dataclasses.replace(law, law=dataclasses.replace(law.law, scale=scale))
 
 
 def answer_forms(

@@ -71,7 +71,7 @@ def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     by_kind: dict[str, list[Band]] = {}
     _, *others = discrepancies.carriers_of(problem)
     legs = next(carrier for carrier in others if carrier.name == JOINTS).parts()
-    for band in [*_time_bands(problem, others), *_travel_bands(problem, legs)]:
+    for band in _bands(problem, others, legs):
         by_kind.setdefault(band.kind, []).append(band)
     for kind, bands in by_kind.items():
         waves = [wave for band in bands for wave in peaks(precision, band)]
@@ -124,8 +124,12 @@ def peaks(precision: "WavePrecision", band: Band) -> list[Wave]:
     return waves
 
 
-def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
-    """Waves in time, or over the readings, of channels or parts of other carriers."""
+def _bands(
+    problem: GapProblem, others: Sequence[Carrier], legs: Sequence[Carrier]
+) -> Iterator[Band]:
+    """Waves in time, or over the readings, of channels or parts of other carriers; and
+    of each joint along its own travel.
+    """
     times = discrepancies.values_of_poses(problem, [s.time for s in problem.states])
     unit = "s"
     if not np.isfinite(times).all():
@@ -137,15 +141,10 @@ def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band
         times = number * max(readings - 1, 1)
     clock = times - times.min()
     frequencies = _frequencies(clock[:, 0], 1.0)
-    if not frequencies.size:
-        return
-    every = (discrepancies.readings(problem, by_setup=False), *others)
-    parts = tuple(part for carrier in every for part in carrier.parts())
-    yield Band(IN_TIME, unit, clock, parts, frequencies)
-
-
-def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band]:
-    """Waves of a joint along its own travel."""
+    if frequencies.size:
+        every = (discrepancies.readings(problem, by_setup=False), *others)
+        parts = tuple(part for carrier in every for part in carrier.parts())
+        yield Band(IN_TIME, unit, clock, parts, frequencies)
     joints = discrepancies.values_of_poses(problem, [s.joints for s in problem.states])
     joints = joints - joints.min(axis=(0, 1))
     for i, joint in enumerate(problem.measurement.machine.joints):
