@@ -128,19 +128,17 @@ class InverseKinematics:
 
     def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
-        parts = [
-            self._modes(z[rows], command[rows], _rows_of(p, rows), _rows_of(tool, rows))
-            for rows in newton.blocks(len(z))
-        ]
-        return np.concatenate([np.empty((0, 2 + len(self.machine.joints))), *parts])
-
-    def _modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         nx = len(self.machine.pose)
-        by_x, slope, by_joint = self._mode(z[:, :nx], z[:, nx:], p, command, tool)
-        square = by_x.shape[1] == by_x.shape[2]
-        direct = _determinant_signs(by_x) if square else np.zeros(len(z))
-        inverse = _determinant_signs(slope)
-        return np.column_stack([direct, inverse, np.sign(np.nan_to_num(by_joint))])
+        modes = np.zeros((len(z), 2 + len(self.machine.joints)))
+        for rows in newton.blocks(len(z)):
+            x, q = z[rows, :nx], z[rows, nx:]
+            of_rows = _rows_of(p, rows), command[rows], _rows_of(tool, rows)
+            by_x, slope, by_joint = self._mode(x, q, *of_rows)
+            if by_x.shape[1] == by_x.shape[2]:
+                modes[rows, 0] = _determinant_signs(by_x)
+            modes[rows, 1] = _determinant_signs(slope)
+            modes[rows, 2:] = np.sign(np.nan_to_num(by_joint))
+        return modes
 
     # -- home --------------------------------------------------------------------------
     def _assemble_home(self) -> tuple[Array, Array]:

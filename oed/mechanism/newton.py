@@ -36,7 +36,19 @@ def solve(
     """
     failed = np.zeros(z.shape[0], dtype=bool)
     for active in blocks(len(z)):
-        _solve_block(equations, z, failed, active, step_tolerance, limited, longest)
+        for _ in range(MAX_ITERATIONS):
+            value, slope = equations(z[active], active)
+            step = solve_linear(slope, value[..., None])[..., 0]
+            size = np.abs(step).max(axis=1)
+            move = np.abs(step[:, :limited]).max(axis=1)
+            finite = np.isfinite(size)
+            failed[active[~finite]] = True
+            factor = np.minimum(1.0, longest / np.maximum(move[finite], longest))
+            z[active[finite]] -= step[finite] * factor[:, None]
+            active = active[finite & (size > step_tolerance)]
+            if not active.size:
+                break
+        failed[active] = True
     return z, failed
 
 
@@ -44,31 +56,6 @@ def blocks(count: int) -> Iterator[Index]:
     """Numbers of rows in blocks whose slopes are in memory together."""
     for first in range(0, count, BLOCK_ROWS):
         yield np.arange(first, min(first + BLOCK_ROWS, count))
-
-
-def _solve_block(
-    equations: Equations,
-    z: Array,
-    failed: Mask,
-    active: Index,
-    step_tolerance: float,
-    limited: int | None,
-    longest: float,
-) -> None:
-    """Solve for the active rows of z, in place, and mark those that failed."""
-    for _ in range(MAX_ITERATIONS):
-        value, slope = equations(z[active], active)
-        step = solve_linear(slope, value[..., None])[..., 0]
-        size = np.abs(step).max(axis=1)
-        move = np.abs(step[:, :limited]).max(axis=1)
-        finite = np.isfinite(size)
-        failed[active[~finite]] = True
-        factor = np.minimum(1.0, longest / np.maximum(move[finite], longest))
-        z[active[finite]] -= step[finite] * factor[:, None]
-        active = active[finite & (size > step_tolerance)]
-        if not active.size:
-            break
-    failed[active] = True
 
 
 def longest_step(lever: float) -> float:

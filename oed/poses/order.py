@@ -246,24 +246,19 @@ class RunStates:
             flip += flipped
             members += [np.array(poses, dtype=np.intp) for poses in directions]
             numbers += [number] * len(directions)
-        cost = _state_costs(distance, start, members)
+        states = members[1:]
+        entry = np.array([poses[0] for poses in states])
+        leave = np.array([poses[-1] for poses in states])
+        inner = np.array([distance[poses[:-1], poses[1:]].sum() for poses in states])
+        cost = np.zeros((len(members), len(members)))
+        cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
+        cost[1:, 1:] = distance[np.ix_(leave, entry)] + inner
         return cls(cost, np.array(flip), np.array(numbers), members)
 
     def length(self, tour: Index) -> float:
         """Length of a path of states, given without state 0."""
         closed = np.concatenate([[0], tour, [0]])
         return float(self.cost[closed[:-1], closed[1:]].sum())
-
-
-def _state_costs(distance: Array, start: Array | None, members: list[Index]) -> Array:
-    states = members[1:]
-    entry = np.array([poses[0] for poses in states])
-    leave = np.array([poses[-1] for poses in states])
-    inner = np.array([distance[poses[:-1], poses[1:]].sum() for poses in states])
-    cost = np.zeros((len(members), len(members)))
-    cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
-    cost[1:, 1:] = distance[np.ix_(leave, entry)] + inner
-    return cost
 
 
 def shortest_path(states: RunStates) -> Index:

@@ -351,15 +351,10 @@ def combination_words(combination: Mapping[str, float]) -> str:
     terms = []
     for k in size_order(values):
         if abs(values[k]) >= 0.2:
-            terms.append(_term(float(values[k]), names[k]))
+            sign, size = "-" if values[k] < 0 else "+", f"{abs(values[k]):.2g}"
+            factor = "" if size == "1" else f"{size} "
+            terms.append(f"{sign} {factor}{names[k]}")
     return " ".join(terms).removeprefix("+ ")
-
-
-def _term(value: float, name: str) -> str:
-    """A term with its sign; a factor of 1 is not written."""
-    sign = "-" if value < 0 else "+"
-    size = f"{abs(value):.2g}"
-    return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
 
 
 PRIOR_DRAWS = 400  #: draws from an effect's prior for its median least size
