@@ -57,10 +57,9 @@ class IdentifiableCoordinates:
         unit = scale[free]
         root = measurement.correlation_root(free)
         jacobian = measurement.jacobian(series, theta)
-        whitened = Noise.of(noise).whiten(jacobian)[:, free] * unit
-        whitened = whitened if root is None else whitened @ root
+        whitened = (Noise.of(noise).whiten(jacobian)[:, free] * unit) @ root
         null_space = _null_space(measurement, series, jacobian, free) / unit
-        lost, determined = _split_directions(_solved(root, null_space.T).T)
+        lost, determined = _split_directions(np.linalg.solve(root, null_space.T).T)
         # The right singular vectors of H, strongest first, decouple the sampler's
         # coordinates.
         _, vectors = right_singular(whitened @ determined)
@@ -68,9 +67,9 @@ class IdentifiableCoordinates:
         unit = unit[:, None]
         return cls(
             origin=np.where(scale > 0, measurement.nominal, theta),
-            basis=_padded(free, unit * _product(root, directions), len(scale)),
-            null_basis=_padded(free, unit * _product(root, lost), len(scale)),
-            dual=_padded(free, _solved(root, directions) / unit, len(scale)).T,
+            basis=_padded(free, unit * (root @ directions), len(scale)),
+            null_basis=_padded(free, unit * (root @ lost), len(scale)),
+            dual=_padded(free, np.linalg.solve(root, directions) / unit, len(scale)).T,
         )
 
     def from_theta(self, theta: Array) -> Array:
@@ -103,18 +102,6 @@ class IdentifiableCoordinates:
         """The same with tolerances a factor as large, null directions apart."""
         basis, dual = factor * self.basis, self.dual / factor
         return dataclasses.replace(self, basis=basis, dual=dual)
-
-
-def _product(root: Array | None, columns: Array) -> Array:
-    """S C (k, m), for the root S (k, k) of a correlation; None: 1."""
-    return columns if root is None else np.asarray(root @ columns)
-
-
-def _solved(root: Array | None, columns: Array) -> Array:
-    """S^-1 C (k, m), likewise."""
-    if root is None:
-        return columns
-    return np.asarray(np.linalg.solve(root, columns), dtype=float)
 
 
 def _null_space(

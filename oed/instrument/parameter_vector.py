@@ -109,15 +109,14 @@ class ParameterVector:
         np.fill_diagonal(matrix, 1.0)
         return matrix
 
-    def correlation_root(self, members: Index) -> Array | None:
+    def correlation_root(self, members: Index) -> Array:
         """Symmetric root S (k, k) of the prior correlation of some entries (k,).
 
         The entries deviate from nominal by tolerance * S z, with z ~ N(0, I) a priori.
-        None where they are independent, so that S is 1.
         """
         correlation = self.correlation
         if correlation is None:
-            return None
+            return np.eye(len(members))
         block = correlation[np.ix_(members, members)]
         values, vectors = np.linalg.eigh(block)
         return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
@@ -131,7 +130,6 @@ class ParameterVector:
         members = np.flatnonzero(self.free if freed is None else freed)
         root = np.zeros((len(self.parameters), len(self.parameters)))
         shape = self.correlation_root(members)
-        shape = np.eye(len(members)) if shape is None else shape
         root[np.ix_(members, members)] = self.tolerance[members, None] * shape
         return root
 
