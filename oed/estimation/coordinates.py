@@ -59,7 +59,8 @@ class IdentifiableCoordinates:
         jacobian = measurement.jacobian(series, theta)
         whitened = (Noise.of(noise).whiten(jacobian)[:, free] * unit) @ root
         null_space = _null_space(measurement, series, jacobian, free) / unit
-        lost, determined = _split_directions(np.linalg.solve(root, null_space.T).T)
+        unmoved = np.asarray(np.linalg.solve(root, null_space.T), dtype=float)
+        lost, determined = _split_directions(unmoved.T)
         # The right singular vectors of H, strongest first, decouple the sampler's
         # coordinates.
         _, vectors = right_singular(whitened @ determined)

@@ -10,7 +10,7 @@ the sum over all combinations is taken about the best one: with a* the best form
 import copy
 import dataclasses
 import functools
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy import special
@@ -59,10 +59,11 @@ class Hypothesis:
     unknown: bool  #: whether an unknown remainder acts as well
     atoms: tuple[int, ...]  #: number of each effect's best form in the library
     sizes: tuple[float, ...]  #: size of each effect's best form
-    process: int | None  #: number of the best unknown process; None without a remainder
-    process_size: float  #: size of the best unknown process
-    log_evidence: float  #: of the readings, over all forms and sizes
-    log_prior: float  #: log prior probability
+    #: number of the best unknown process; None without a remainder
+    process: int | None = None
+    process_size: float = 0.0  #: size of the best unknown process
+    log_evidence: float = 0.0  #: of the readings, over all forms and sizes
+    log_prior: float = 0.0  #: log prior probability
     law: int = 0  #: number of the noise law that suits it best
     #: number of equally good noise laws that its evidence rests on
     effective_laws: float = 1.0
@@ -129,134 +130,11 @@ def log_prior(count: int, unknown: bool, effects: int) -> float:
     return float(np.log(probability) - np.log(sets))
 
 
-# Products of all forms' columns under one noise law, computed where one is asked for.
-#
-# An unknown remainder is a process orthogonal to the selected effects.
-
 #: columns of each selected effect, with the size of its coefficients
 Selected = Sequence[tuple[Index, float]]
 _NO_COLUMNS = np.empty(0, dtype=np.intp)
 #: how large an unknown may be, against the noise
 REMAINDER_SIZES = UNKNOWN_SIZES.values
-
-
-class FormProducts:
-    """Products, remainders and priors of forms, kept until `release`."""
-
-    def __init__(
-        self,
-        problem: GapProblem,
-        library: Library,
-        processes: Library,
-        law: NoiseLaw,
-        effects: Collection[str],
-    ) -> None:
-        """Of a library's forms, and of processes; `effects` are those in question."""
-        self._problem, self._law = problem, law
-        self._library, self._processes = library, processes
-        #: products (k, P) of the columns of effects' forms with all processes' columns
-        self._cross: dict[bytes, Array] = {}
-        forms = [atom.columns for atom in library.atoms if atom.effect in effects]
-        #: numbers of the columns of the effects in question
-        self._needed = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *forms]))
-
-    @functools.cached_property
-    def metric(self) -> Metric:
-        """The metric of the law."""
-        return Metric(self._problem, self._law)
-
-    @functools.cached_property
-    def questioned(self) -> Grams:
-        """Grams of the columns of the effects in question."""
-        return self._grams_of(self._needed)
-
-    def _grams_of(self, columns: Index) -> Grams:
-        library = self._library.columns
-        return evidence.grams_of(self._problem, self.metric, library, columns)
-
-    def place(self, columns: Index) -> Index:
-        """Numbers of some columns among those of the effects in question."""
-        return np.searchsorted(self._needed, columns)
-
-    def grams_of(self, columns: Index) -> Grams:
-        """Grams of some columns of the effects in question."""
-        return self.questioned.take(self.place(columns))
-
-    @functools.cached_property
-    def remainders(self) -> "Remainders":
-        """The processes that an unknown remainder may be."""
-        processes = self._processes
-        choices = [atom.columns for atom in processes.atoms]
-        products = ChoiceGrams(self._problem, self.metric, processes.columns, choices)
-        log_kinds = discrepancy.log_shares(processes, self._library)
-        return Remainders(products, processes, log_kinds)
-
-    def log_remainders(self, alone: Grams, selected: Selected) -> Array:
-        """Log evidence (processes, sizes) of each process, over no remainder.
-
-        alone       grams of the selected columns, these in the model
-        selected    columns of each selected effect, with their size
-        """
-        return self.remainders.log_evidences(alone, *self._taken(selected))
-
-    def _with_processes(self, columns: Index) -> Array:
-        """Products (k, P) of the columns of a form with all processes' columns."""
-        key = columns.tobytes()
-        if key not in self._cross:
-            form = self.metric.precision(self._library.columns.take(columns))
-            self._cross[key] = self._processes.columns.products(form)
-        return self._cross[key]
-
-    def _taken(self, selected: Selected) -> tuple[Array, Array]:
-        """Products (k, P), (k,) of what effects explain with processes and residual."""
-        columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
-        grams = self.grams_of(columns)
-        parts = [self._with_processes(c) for c, _ in selected]
-        cross = np.vstack([np.zeros((0, len(self.remainders.products.b))), *parts])
-        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
-        start = 0
-        for own, size in selected:
-            rows = np.arange(start, start + len(own))
-            start += len(own)
-            root = grams.visible_root(rows, size)
-            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
-            cross = cross - (grams.gram[:, rows] @ root) @ over
-            grams = grams.project_out(rows, size)
-            taken.append(over)
-            projected.append(residual)
-        return np.vstack(taken), np.concatenate(projected)
-
-    @functools.cached_property
-    def grams(self) -> Grams:
-        """Grams of all columns of all effects."""
-        columns = np.arange(self._library.columns.shape[1])
-        if len(self._needed) == len(columns):
-            return self.questioned
-        return self._grams_of(columns)
-
-    @functools.cached_property
-    def log_prior(self) -> Array:
-        """Log prior (atoms, sizes) of each form of the effects in question."""
-        diagonal = np.zeros(self._library.columns.shape[1])
-        diagonal[self._needed] = self.questioned.gram.diagonal()
-        return self._log_prior(diagonal)
-
-    @functools.cached_property
-    def log_prior_of_all(self) -> Array:
-        """The same of each form of all effects."""
-        return self._log_prior(self.grams.gram.diagonal())
-
-    def _log_prior(self, diagonal: Array) -> Array:
-        atoms = self._library.atoms
-        log_weights = np.array([atom.log_weight for atom in atoms])
-        energy = energies(diagonal, [atom.columns for atom in atoms])
-        return log_weights[:, None] + EFFECT_SIZES.log_visible_shares(energy)
-
-    def release(self) -> None:
-        """Give the memory back; what is asked for again is computed again."""
-        for name in ("metric", "questioned", "remainders", "grams"):
-            self.__dict__.pop(name, None)
-        self._cross.clear()
 
 
 class Remainders:
@@ -315,7 +193,6 @@ MAX_LOG_DEFICIT = 14.0
 N_SETS = 8  #: number of sets that are taken further
 MAX_ROUNDS = 4  #: rounds in which the effects of a set take turns at their best forms
 EFFECT_SIZE_VALUES = EFFECT_SIZES.values  #: sizes of effects, in expected sizes
-_NONE = np.empty(0, dtype=np.intp)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -366,18 +243,19 @@ class Search:
         self._candidates = candidates
         names = {name for h in candidates for name in h.effects}
         of_question = names if candidates else set(library.effects)
-        self._forms = FormProducts(problem, library, processes, law, of_question)
+        forms = [atom.columns for atom in library.atoms if atom.effect in of_question]
+        #: numbers of the columns of the effects in question
+        self._needed = np.unique(np.concatenate([_NO_COLUMNS, *forms]))
+        #: products (k, P) of the columns of effects' forms with all processes' columns
+        self._cross: dict[bytes, Array] = {}
         self._posteriors: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
-    @property
-    def grams(self) -> Grams:
-        """Grams of all columns of the effects."""
-        return self._forms.grams
-
     def release(self) -> None:
         """Give the memory of all products back; who needs one again computes it."""
-        self._forms.release()
+        for name in ("_metric", "_questioned", "_remainders", "grams"):
+            self.__dict__.pop(name, None)
+        self._cross.clear()
         self._posteriors.clear()
 
     def with_weight(self, log_prior: float) -> "Search":
@@ -396,11 +274,101 @@ class Search:
         """Columns of a form."""
         return self.library.atoms[atom].columns
 
+    # -- products of all forms' columns, computed where one is asked for ---------------
+    @functools.cached_property
+    def _metric(self) -> Metric:
+        """The metric of the law."""
+        return Metric(self.problem, self.law)
+
+    @functools.cached_property
+    def _questioned(self) -> Grams:
+        """Grams of the columns of the effects in question."""
+        return self._grams_of(self._needed)
+
+    def _grams_of(self, columns: Index) -> Grams:
+        library = self.library.columns
+        return evidence.grams_of(self.problem, self._metric, library, columns)
+
+    def _place(self, columns: Index) -> Index:
+        """Numbers of some columns among those of the effects in question."""
+        return np.searchsorted(self._needed, columns)
+
+    def _grams_among(self, columns: Index) -> Grams:
+        """Grams of some columns of the effects in question."""
+        return self._questioned.take(self._place(columns))
+
+    @functools.cached_property
+    def _remainders(self) -> "Remainders":
+        """The processes that an unknown remainder may be."""
+        processes = self.processes
+        choices = [atom.columns for atom in processes.atoms]
+        products = ChoiceGrams(self.problem, self._metric, processes.columns, choices)
+        log_kinds = discrepancy.log_shares(processes, self.library)
+        return Remainders(products, processes, log_kinds)
+
+    def _log_remainders(self, h: Hypothesis) -> Array:
+        """Log evidence (processes, sizes) of each process beside a set, over no remainder."""
+        alone, selected = self._selected(h)
+        return self._remainders.log_evidences(alone, *self._taken(selected))
+
+    def _with_processes(self, columns: Index) -> Array:
+        """Products (k, P) of the columns of a form with all processes' columns."""
+        key = columns.tobytes()
+        if key not in self._cross:
+            form = self._metric.precision(self.library.columns.take(columns))
+            self._cross[key] = self.processes.columns.products(form)
+        return self._cross[key]
+
+    def _taken(self, selected: Selected) -> tuple[Array, Array]:
+        """Products (k, P), (k,) of what effects explain with processes and residual."""
+        columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
+        grams = self._grams_among(columns)
+        parts = [self._with_processes(c) for c, _ in selected]
+        cross = np.vstack([np.zeros((0, len(self._remainders.products.b))), *parts])
+        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
+        start = 0
+        for own, size in selected:
+            rows = np.arange(start, start + len(own))
+            start += len(own)
+            root = grams.visible_root(rows, size)
+            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
+            cross = cross - (grams.gram[:, rows] @ root) @ over
+            grams = grams.project_out(rows, size)
+            taken.append(over)
+            projected.append(residual)
+        return np.vstack(taken), np.concatenate(projected)
+
+    @functools.cached_property
+    def grams(self) -> Grams:
+        """Grams of all columns of all effects."""
+        columns = np.arange(self.library.columns.shape[1])
+        if len(self._needed) == len(columns):
+            return self._questioned
+        return self._grams_of(columns)
+
+    @functools.cached_property
+    def _log_prior(self) -> Array:
+        """Log prior (atoms, sizes) of each form of the effects in question."""
+        diagonal = np.zeros(self.library.columns.shape[1])
+        diagonal[self._needed] = self._questioned.gram.diagonal()
+        return self._log_prior_by(diagonal)
+
+    @functools.cached_property
+    def _log_prior_of_all(self) -> Array:
+        """The same of each form of all effects."""
+        return self._log_prior_by(self.grams.gram.diagonal())
+
+    def _log_prior_by(self, diagonal: Array) -> Array:
+        atoms = self.library.atoms
+        log_weights = np.array([atom.log_weight for atom in atoms])
+        energy = energies(diagonal, [atom.columns for atom in atoms])
+        return log_weights[:, None] + EFFECT_SIZES.log_visible_shares(energy)
+
     # -- one hypothesis ----------------------------------------------------------------
     def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
         """Grams of the columns of forms alone, these in the model one after the other."""
         columns = [self.columns_of(k) for k in atoms]
-        grams = self._forms.grams_of(np.concatenate([_NONE, *columns]))
+        grams = self._grams_among(np.concatenate([_NO_COLUMNS, *columns]))
         start = 0
         for form, size in zip(columns, sizes, strict=True):
             grams = grams.select(np.arange(start, start + len(form)), size)
@@ -410,7 +378,7 @@ class Search:
     def noise_level(self, h: Hypothesis) -> float:
         """Noise level of what a hypothesis does not explain."""
         columns = h.columns(self.library, self.processes)
-        grams = WhitenedColumns(self.problem, self._forms.metric, columns).grams()
+        grams = WhitenedColumns(self.problem, self._metric, columns).grams()
         return evidence.noise_level(grams.select(np.arange(columns.shape[1]), 1.0))
 
     def law_at(self, level: float) -> NoiseLaw:
@@ -425,7 +393,7 @@ class Search:
         best size.
         """
         if part == len(h.effects):
-            table = self._forms.log_remainders(*self._selected(h))
+            table = self._log_remainders(h)
             numbers = np.arange(len(table))
             sizes = REMAINDER_SIZES
         else:
@@ -442,12 +410,10 @@ class Search:
         """Log prior of a hypothesis' forms and sizes among those that its parts can have."""
         total = 0.0
         for atom, size in zip(h.atoms, h.sizes, strict=True):
-            total += self._forms.log_prior[
-                atom, np.searchsorted(EFFECT_SIZE_VALUES, size)
-            ]
+            total += self._log_prior[atom, np.searchsorted(EFFECT_SIZE_VALUES, size)]
         if h.process is not None:
             number = np.searchsorted(REMAINDER_SIZES, h.process_size)
-            total += self._forms.remainders.log_prior[h.process, number]
+            total += self._remainders.log_prior[h.process, number]
         return float(total)
 
     # -- sets of effects ---------------------------------------------------------------
@@ -463,7 +429,7 @@ class Search:
         table = self.grams.log_evidences(
             [self.columns_of(k) for k in tried], EFFECT_SIZE_VALUES, beside
         )
-        posterior = table + self._forms.log_prior_of_all[tried]
+        posterior = table + self._log_prior_of_all[tried]
         best = {}
         for effect in further:
             rows = np.searchsorted(tried, self._atoms_of[effect])
@@ -477,9 +443,7 @@ class Search:
             log_evidence=float(np.logaddexp.reduce(posterior, axis=None)),
             atom=int(atoms[row]),
             size=float(EFFECT_SIZE_VALUES[column]),
-            of_best=float(
-                posterior[row, column] - self._forms.log_prior[atoms[row], column]
-            ),
+            of_best=float(posterior[row, column] - self._log_prior[atoms[row], column]),
         )
 
     def fit(
@@ -487,15 +451,9 @@ class Search:
     ) -> Hypothesis:
         """Hypothesis of effects from forms: best by turns, evidence over all."""
         count = len(self.library.effects)
+        prior = log_prior(len(effects), False, count)
         h = Hypothesis(
-            effects=tuple(effects),
-            unknown=False,
-            atoms=tuple(atoms),
-            sizes=tuple(sizes),
-            process=None,
-            process_size=0.0,
-            log_evidence=0.0,
-            log_prior=log_prior(len(effects), False, count),
+            tuple(effects), False, tuple(atoms), tuple(sizes), log_prior=prior
         )
         further_forms = 0.0
         for _ in range(MAX_ROUNDS):
@@ -514,7 +472,7 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        table = self._forms.log_remainders(*self._selected(h))
+        table = self._log_remainders(h)
         process, size = np.unravel_index(int(np.argmax(table)), table.shape)
         over_none = float(np.logaddexp.reduce(table, axis=None))
         return dataclasses.replace(
@@ -532,12 +490,12 @@ class Search:
         """Log posterior (atoms, sizes) of forms over none, beside others."""
         key = (effect, tuple(zip(others, sizes, strict=True)))
         if key not in self._posteriors:
-            grams, place = self._forms.questioned, self._forms.place
+            grams, place = self._questioned, self._place
             selected = [place(self.columns_of(k)) for k in others]
             forms = [place(self.columns_of(k)) for k in self._atoms_of[effect]]
             beside = grams.taken_by(selected, sizes)
             table = grams.log_evidences(forms, EFFECT_SIZE_VALUES, beside)
-            prior = self._forms.log_prior[self._atoms_of[effect]]
+            prior = self._log_prior[self._atoms_of[effect]]
             self._posteriors[key] = table + prior
         return self._posteriors[key]
 
@@ -575,7 +533,7 @@ class Search:
         extended = [
             h for k, h in enumerate(without_unknown) if k < N_SETS or len(h.effects) < 2
         ]
-        mixed = [self.add_unknown(h) for h in extended if len(self._forms.remainders)]
+        mixed = [self.add_unknown(h) for h in extended if len(self._remainders)]
         return [*without_unknown, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -31,7 +31,7 @@ from oed.gap.forms import library
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
     """Log evidence of a set of effects, summed over every form and size of each."""
     terms = []
-    prior = search._forms.log_prior
+    prior = search._log_prior
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         every = range(len(EFFECT_SIZE_VALUES))
         for sizes in itertools.product(every, repeat=len(effects)):
@@ -82,7 +82,7 @@ def test_prior_shares_add_up():
     search = search_of(readings(2))
     for effect in search.library.effects:
         mine = search.library.atoms_of(effect)
-        assert np.exp(search._forms.log_prior[mine]).sum() == pytest.approx(1.0)
+        assert np.exp(search._log_prior[mine]).sum() == pytest.approx(1.0)
     assert sum(PRIOR.values()) == pytest.approx(1.0)
 
 
