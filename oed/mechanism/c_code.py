@@ -41,21 +41,6 @@ def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctio
     Matrices are dense and column by column.
     """
     e = MachineExpressions(machine)
-    functions = _functions(machine, e, parameters)
-    generator = ca.CodeGenerator("pkm", {"casadi_int": "int"})
-    for function in functions:
-        generator.add(function)
-    return GeneratedFunctions(
-        text=generator.dump(),
-        reals=max(f.sz_w() for f in functions),
-        whole=max(f.sz_iw() for f in functions),
-        longest_step=newton.longest_step(machine.lever),
-    )
-
-
-def _functions(
-    machine: Machine, e: MachineExpressions, parameters: Array
-) -> list[ca.Function]:
     values = ca.DM(parameters)
 
     def function(name: str, inputs: list[Expr], outputs: list[Expr]) -> ca.Function:
@@ -68,7 +53,7 @@ def _functions(
     closure_slope = ca.jacobian(e.phi, e.x)
     own_slopes = ca.vertcat(*joint_slopes(e))
     balance = [e.balance, ca.jacobian(e.balance, e.x)]
-    return [
+    functions = [
         function("pkm_start", [e.c, e.tool], list(e.start)),
         function("pkm_unmet", [e.x, e.q, e.c, e.tool], [unmet, slope]),
         function("pkm_mode", [e.x, e.q], [closure_slope, own_slopes]),
@@ -76,3 +61,12 @@ def _functions(
         function("pkm_held", [e.x, e.tool], [commanded]),
         function("pkm_wanted", [e.c], [target, ca.jacobian(target, e.c)]),
     ]
+    generator = ca.CodeGenerator("pkm", {"casadi_int": "int"})
+    for each in functions:
+        generator.add(each)
+    return GeneratedFunctions(
+        text=generator.dump(),
+        reals=max(f.sz_w() for f in functions),
+        whole=max(f.sz_iw() for f in functions),
+        longest_step=newton.longest_step(machine.lever),
+    )

@@ -77,6 +77,7 @@ def symbolic_reading(
 ) -> SymbolicReading:
     """One reading, rows times `basis` (n, r). Raises ValueError for noise of a run."""
     machine, instrument = measurement.machine, setup.instrument
+    others = measurement.setups
     shares = any(c.shared for c in instrument.channels) or setup.statement.seating
     if scaling == "tolerance" and shares:
         raise ValueError(
@@ -102,7 +103,10 @@ def symbolic_reading(
         settled = phi if phi.numel() == x.numel() else ca.jacobian(phi, x).T @ phi
         adjoint = ca.solve(ca.jacobian(settled, x).T, ca.jacobian(y, x).T)
         by_machine -= adjoint.T @ ca.jacobian(settled, p)
-    rows: Any = _all_columns(measurement, setup, by_machine, ca.jacobian(y, s))
+    # the unknowns of other set-ups do not enter
+    by_setup = {name: ca.SX(y.numel(), len(o.nuisances)) for name, o in others.items()}
+    by_setup[setup.name] = ca.jacobian(y, s)
+    rows: Any = ca.densify(ca.horzcat(by_machine, *by_setup.values()))
     rows = rows @ ca.diag(ca.DM(column_scale(measurement, scaling)))
     if scaling == "tolerance":
         sources = instrument.sources and instrument.sources(frames, ss, by_name)
@@ -128,19 +132,6 @@ def symbolic_reading(
 def _nominal_values(machine: Machine, p: Any, *expressions: Any) -> list[Any]:
     nominal = ca.DM(machine.nominal)
     return [ca.substitute(e, p, nominal) for e in expressions]
-
-
-def _all_columns(
-    measurement: Measurement, setup: Setup, by_machine: Any, by_setup: Any
-) -> Any:
-    """Rows over all of theta: the unknowns of other set-ups do not enter."""
-    parts = [by_machine]
-    for name, other in measurement.setups.items():
-        if name == setup.name:
-            parts.append(by_setup)
-        else:
-            parts.append(ca.SX(by_machine.shape[0], len(other.nuisances)))
-    return ca.densify(ca.horzcat(*parts))
 
 
 def _whiten(rows: Any, setup: Setup, sources: Any | None) -> Any:

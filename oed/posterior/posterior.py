@@ -66,14 +66,6 @@ def predictive_checks(
     return checks
 
 
-def _rms(structure: ReadingStructure, errors: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
-
-
-def _largest(structure: ReadingStructure, errors: Array) -> Array:
-    return np.asarray(np.abs(errors).max(axis=1))
-
-
 def _neighbours(structure: ReadingStructure, errors: Array) -> Array:
     """Mean product of neighbours in a chain over the mean square (draws,)."""
     order = np.lexsort((structure.position, structure.chain))
@@ -98,8 +90,8 @@ def _run_means(structure: ReadingStructure, errors: Array) -> Array:
 Discrepancy = Callable[[ReadingStructure, Array], Array]
 #: root mean square, largest residual, correlation of neighbours, means of runs
 DISCREPANCIES: Mapping[str, Discrepancy] = {
-    "rms": _rms,
-    "largest": _largest,
+    "rms": lambda _, errors: np.sqrt(np.mean(errors**2, axis=1)),
+    "largest": lambda _, errors: np.abs(errors).max(axis=1),
     "neighbours": _neighbours,
     "run_means": _run_means,
 }

@@ -391,7 +391,10 @@ def _geometry(
     rotation, tip, twist = kinematics.frames(x, tool)
     by_joint = twist @ kinematics.slopes.pose_by_joint(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
-    base, platform, per_length = _struts(measurement, x, q, p)
+    base = platform = np.full((*q.shape, 3), np.nan)  # where no struts are stated
+    per_length = np.full(q.shape, np.nan)
+    if machine.struts is not None:
+        base, platform, per_length = kinematics.struts(x, q, p)
     lever = platform.mean(axis=1) - tip
     moment = np.nan_to_num(np.cross(lever, down))
     torque = np.einsum("mk,mkj->mj", moment, by_joint[:, 3:])
@@ -420,16 +423,6 @@ def _order(series: Series, rows: pd.DataFrame, owner: Index, referred: Index) ->
     order[series.index[:, 0]] = number
     order[referred] -= 1.0
     return np.asarray(order)
-
-
-def _struts(
-    measurement: Measurement, x: Array, q: Array, p: Array
-) -> tuple[Array, Array, Array]:
-    """As `Kinematics.struts`; NaN for a machine that does not state its struts."""
-    if measurement.machine.struts is None:
-        unknown = np.full((*q.shape, 3), np.nan)
-        return unknown, unknown, np.full(q.shape, np.nan)
-    return measurement.kinematics.struts(x, q, p)
 
 
 def _column(rows: pd.DataFrame, name: str) -> Array:

@@ -376,7 +376,10 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
         if factor.any():
             yield f"with the {name}", f", with the {name}", factor, factor, False
     for body in sorted({b for s in problem.states for b in s.temperature}):
-        rise = _centred(_temperature(problem, body))
+        read = [
+            s.temperature.get(body, np.full(len(s), np.nan)) for s in problem.states
+        ]
+        rise = _centred(values_of_poses(problem, read))
         if rise.any():
             ending = f", with the temperature of {body}"
             yield ending[2:], ending, rise, rise, True
@@ -384,15 +387,6 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
 
 def _covariate(problem: GapProblem, name: str) -> Values:
     return values_of_poses(problem, [getattr(s, name) for s in problem.states])
-
-
-def _temperature(problem: GapProblem, body: str) -> Values:
-    """Temperature (N, J) of a body; NaN where it was not recorded."""
-    values = []
-    for state in problem.states:
-        unknown = np.full(len(state), np.nan)
-        values.append(state.temperature.get(body, unknown))
-    return values_of_poses(problem, values)
 
 
 def known_values(values: Array) -> Array:
