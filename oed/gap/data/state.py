@@ -112,11 +112,11 @@ def _distance(move: Array) -> Array:
 
 def _run_motion(q: Array, point: Array) -> Motion:
     """Motion of a run's k >= 2 poses over the length of path, by its derivatives."""
-    tip = point[:, :3]
     along = _straight(q, point)
-    if not _is_path(tip):
+    breaks = _breaks(point[:, :3])
+    if breaks is None:
         return along
-    corners, far = _breaks(tip)
+    corners, far = breaks
     pieces = np.split(np.arange(len(q)), far)
     for points in pieces:
         inside = corners[np.isin(corners, points[1:-1])]
@@ -140,29 +140,21 @@ def _straight(q: Array, point: Array) -> Motion:
     return Motion(sense, slope, curvature, _since_reversal_by_steps(q, sense))
 
 
-def _is_path(tip: Array) -> bool:
-    """Whether poses (k, 3) follow a path; scattered points turn sharply at most."""
+def _breaks(tip: Array) -> tuple[Index, Index] | None:
+    """Poses (k, 3) at which a path has a corner, and those to which a far step leads.
+
+    None where poses follow no path: scattered points turn sharply at most.
+    """
     step = np.diff(tip, axis=0)
     size = np.linalg.norm(step, axis=1)
     if len(tip) < MIN_POSES or size.min() <= STILL_SHARE * size.max():
-        return False
-    return bool(np.median(_turns(step)) <= CORNER_ANGLE)
-
-
-def _turns(step: Array) -> Array:
-    """Angle between each of the steps (k, 3) and the next, rad."""
-    size = np.linalg.norm(step, axis=1)
+        return None
     cosine = (step[1:] * step[:-1]).sum(axis=1) / (size[1:] * size[:-1])
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _breaks(tip: Array) -> tuple[Index, Index]:
-    """Poses at which a path has a corner, and those to which a far step leads."""
-    step = np.diff(tip, axis=0)
-    size = np.linalg.norm(step, axis=1)
+    turns = np.arccos(np.clip(cosine, -1.0, 1.0))
+    if np.median(turns) > CORNER_ANGLE:
+        return None
     far = np.flatnonzero(size > FAR_STEPS * np.median(size)) + 1
-    corners = np.flatnonzero(_turns(step) > CORNER_ANGLE) + 1
-    return corners, far
+    return np.flatnonzero(turns > CORNER_ANGLE) + 1, far
 
 
 def _lay_path(
