@@ -190,16 +190,10 @@ class BudgetModel:
     def errors(self) -> dict[str, Kind]:
         """The readings' errors, and of which kind each is."""
         stated = {instrument_source(name) for name in self.instruments}
-        kinds: dict[str, Kind] = {}
-        for name in self.readings.names:
-            kinds[name] = "run"
-            if name in stated:
-                kinds[name] = "instrument"
-            if name == COURSE:
-                kinds[name] = "course"
-            if name == BEYOND:
-                kinds[name] = "noise law"
-        return kinds
+        kinds: dict[str, Kind] = dict.fromkeys(self.readings.names, "run")
+        others: dict[str, Kind] = {COURSE: "course", BEYOND: "noise law"}
+        others |= dict.fromkeys(stated, "instrument")
+        return kinds | {n: kind for n, kind in others.items() if n in kinds}
 
     def information(self, factors: Mapping[str, float] | None = None) -> Array:
         """H^T C^-1 H (n, n), with factors on the standard deviations of errors."""

@@ -174,17 +174,11 @@ def filled_columns(
 
 
 # Tables of several sessions as those of one: run names of their own, and one clock.
-@dataclasses.dataclass(frozen=True)
-class JoinedSessions:
-    """Tables of all sessions in order."""
-
-    tables: tuple[ReadingsFile, ...]
-    #: numbers of the sessions, from 1, whose clock starts again
-    restarted: tuple[int, ...]
-
-
-def join(sessions: Sequence[Sequence[ReadingsFile]]) -> JoinedSessions:
-    """Tables of sessions, the earliest first, as those of one session.
+def join(
+    sessions: Sequence[Sequence[ReadingsFile]],
+) -> tuple[list[ReadingsFile], tuple[int, ...]]:
+    """Tables of sessions, the earliest first, as those of one session; numbers of the
+    sessions, from 1, whose clock starts again.
 
     A run whose name an earlier session uses in its set-up gets the number of its session.
     A clock that starts again counts on from the end of the session before.
@@ -203,7 +197,7 @@ def join(sessions: Sequence[Sequence[ReadingsFile]]) -> JoinedSessions:
         runs |= {key for one in renamed for key in _distinct_runs(one.frame)}
         end = max(end, last + delay)
         joined += renamed
-    return JoinedSessions(tuple(joined), tuple(restarted))
+    return joined, tuple(restarted)
 
 
 def _extent(tables: Sequence[ReadingsFile]) -> tuple[float, float]:
@@ -256,8 +250,8 @@ def load_sessions(
     expected = expected_columns(measurement)
     poses = pose_groups(measurement)
     tables = [[table.read(p, expected, poses) for p in paths] for paths in files]
-    joined = join(tables)
-    return from_tables(joined.tables, measurement), joined.restarted
+    joined, restarted = join(tables)
+    return from_tables(joined, measurement), restarted
 
 
 def from_rows(

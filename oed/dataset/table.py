@@ -5,7 +5,6 @@ spreadsheet shows them. Remarks, and lines with # above the header, are not read
 """
 
 import csv
-import dataclasses
 import difflib
 import itertools
 import sys
@@ -104,19 +103,11 @@ MAX_NUMBER: Final = 1e12  #: size of a number in a cell beyond which it is a sli
 Convert = Callable[[str, Sequence[str], Index], Array]
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class TableCells:
-    """Cells of a table."""
-
-    rows: Index  #: number (n,) of each row in its file
-    #: by stem: labels, or SI values (n,), NaN where a cell is empty
-    columns: Mapping[str, Sequence[str] | Array]
-
-
 def convert_columns(
     rows: Iterable[Row], places: Mapping[str, int], convert: Convert
-) -> TableCells:
-    """Columns of numbered rows of cells; `places` are those of stems in a row.
+) -> tuple[Index, dict[str, Sequence[str] | Array]]:
+    """Numbers (n,) of rows of cells in their file, and their columns by stem: labels, or SI
+    values (n,), NaN where a cell is empty. `places` are those of stems in a row.
 
     Rows are all read before the first cell that `convert` refuses is reported, in the
     order of the columns. Raises ReadingsError.
@@ -141,7 +132,7 @@ def convert_columns(
             raise refused[stem]
     every = np.concatenate([np.zeros(0, dtype=np.intp), *numbers])
     values = {stem: np.concatenate([np.empty(0), *p]) for stem, p in parts.items()}
-    return TableCells(every, {stem: (labels | values)[stem] for stem in places})
+    return every, {stem: (labels | values)[stem] for stem in places}
 
 
 def _blocks(rows: Iterable[Row]) -> Iterator[list[Row]]:
@@ -238,14 +229,14 @@ def from_rows(
         remedy = cell_remedy(stem, poses)
         return numbers_of(columns[stem], points, numbers, file, remedy)
 
-    cells = convert_columns(rows, places, convert)
-    if not len(cells.rows):
+    numbers, cells = convert_columns(rows, places, convert)
+    if not len(numbers):
         raise ReadingsError(
             "there are no readings below the header", "add one row a reading", file=file
         )
     import pandas as pd
 
-    frame = pd.DataFrame({FILE: file, ROW: cells.rows, **cells.columns})
+    frame = pd.DataFrame({FILE: file, ROW: numbers, **cells})
     table = ReadingsFile(file, frame, columns)
     check_rows(table)
     frame["order"] = frame["order"].astype(np.int64)

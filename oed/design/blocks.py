@@ -113,7 +113,8 @@ def _root(matrix: Array) -> Array:
 
 
 UNIT_ROUNDOFF = float(np.finfo(float).eps) / 2  #: unit roundoff
-CANDIDATES_AT_ONCE = 65536  #: rows whose products are bounded at a time
+#: number of candidates whose products are in memory at once: 500 MB of 1000 columns
+CANDIDATES_AT_ONCE = 65536
 
 
 class Rounding(NamedTuple):
@@ -181,17 +182,26 @@ def _largest_error(blocks: Array, basis: Array) -> float:
     """Largest error of a block times the basis, in the Frobenius norm."""
     sizes = np.abs(basis)
     largest = 0.0
-    for start in range(0, len(blocks), CANDIDATES_AT_ONCE):
-        products = np.abs(blocks[start : start + CANDIDATES_AT_ONCE]) @ sizes
-        squares = np.einsum("ckn,ckn->c", products, products)
-        largest = max(largest, float(np.sqrt(squares.max())))
+    for part in parts(len(blocks)):
+        largest = max(largest, largest_norm(np.abs(blocks[part]) @ sizes))
     return gamma(blocks.shape[2] + 1) * largest
 
 
 def quotient_error(blocks: Array) -> float:
     """Largest error of blocks (C, k, n) that are a quotient, in the Frobenius norm."""
+    return gamma(3) * largest_norm(blocks)
+
+
+def largest_norm(blocks: Array) -> float:
+    """Largest Frobenius norm of blocks (C, k, n)."""
     squares = np.einsum("ckn,ckn->c", blocks, blocks)
-    return gamma(3) * float(np.sqrt(squares.max()))
+    return float(np.sqrt(squares.max()))
+
+
+def parts(count: int) -> list[slice]:
+    """Parts of so many candidates whose products are in memory at once."""
+    starts = range(0, count, CANDIDATES_AT_ONCE)
+    return [slice(start, start + CANDIDATES_AT_ONCE) for start in starts]
 
 
 def is_ill_conditioned(matrix: Array) -> bool:

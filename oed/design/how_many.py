@@ -10,8 +10,9 @@ The fewest readings: a plan of N readings reaches the goal. N is proven the fewe
 even the relaxation of N - 1 readings misses it; otherwise a range is reported.
 """
 
+import bisect
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -120,7 +121,8 @@ class SizeCurve:
 
     def fewest(self, most: int) -> FewestReadings:
         """The fewest readings that reach every component's goal, by bisection."""
-        at_least = _first_true(self._goal_is_feasible, 1, most + 1)
+        sizes = range(1, most + 1)
+        at_least = 1 + bisect.bisect_left(sizes, True, key=self._goal_is_feasible)
         best = self.point(most)
         if at_least > most:
             return FewestReadings(None, most + 1, most, best)
@@ -147,14 +149,3 @@ class SizeCurve:
             self.goal.criterion(),
         )
         return optimum.bound >= 0.0
-
-
-def _first_true(holds: Callable[[int], bool], low: int, high: int) -> int:
-    """The first number from low to high with a monotone property, or `high`."""
-    while low < high:
-        middle = (low + high) // 2
-        if holds(middle):
-            high = middle
-        else:
-            low = middle + 1
-    return low

@@ -31,7 +31,14 @@ from typing import Protocol
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import NO_ROUNDING, Rounding, gamma, information, quotient_error
+from oed.design.blocks import (
+    NO_ROUNDING,
+    Rounding,
+    gamma,
+    information,
+    largest_norm,
+    quotient_error,
+)
 from oed.design.forms.protocol import Criterion, weight_gradient
 
 LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in log phi
@@ -195,8 +202,7 @@ class CriterionObjective:
     @functools.cached_property
     def _largest_block(self) -> float:
         """Largest Frobenius norm of a block."""
-        squares = np.einsum("ckn,ckn->c", self.blocks, self.blocks)
-        return float(np.sqrt(squares.max()))
+        return largest_norm(self.blocks)
 
     def derivatives(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Gradient and curvature of log phi."""

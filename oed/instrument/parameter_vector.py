@@ -11,6 +11,7 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.instrument.instrument import Setup
+from oed.linear_algebra import symmetric_root
 from oed.model import Machine, Parameter
 
 
@@ -118,8 +119,7 @@ class ParameterVector:
         if correlation is None:
             return np.eye(len(members))
         block = correlation[np.ix_(members, members)]
-        values, vectors = np.linalg.eigh(block)
-        return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+        return np.asarray(symmetric_root(block[None])[0])
 
     def prior_root(self, freed: Mask | None = None) -> Array:
         """Root R (n, n), SI, of the prior covariance: theta = nominal + R z.

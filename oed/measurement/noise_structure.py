@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import scipy
 
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.setup_readings import decoupling
 from oed.noise import NOTHING_STATED, NoiseStatement, ReadingStructure, SharedError
@@ -53,22 +53,18 @@ def reading_structure(
         blocks.append(decoupling(measurement.of(s).reading_covariances(s)))
         runs += len(number)
     of_reading = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
-    run, channel = of_reading["run"], of_reading["channel"].astype(np.intp)
+    run = of_reading["run"]
     pairs, chain = np.unique(
-        np.column_stack([run, channel]), axis=0, return_inverse=True
+        np.column_stack([run, of_reading["channel"]]), axis=0, return_inverse=True
     )
     decouple = scipy.sparse.csr_array(scipy.sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
-    errors = _RunErrors(
-        decouple=decouple,
-        channel=channel,
-        shared=of_reading["shared"],
-        stated=of_reading["stated"],
-        renewed=renewed_jacobian(measurement, series, theta) / diagonal[:, None],
-        seated=seated_jacobian(measurement, series, theta),
+    renewed = seats_jacobian(measurement, series, theta, stated=False)
+    seated = seats_jacobian(measurement, series, theta, stated=True)
+    columns, kinds = _run_errors(
+        of_reading, decouple, renewed / diagonal[:, None], seated
     )
-    columns, kinds = errors.columns()
     group = of_reading["group"].astype(np.intp)
     statement = common_statement(measurement, series)
     return ReadingStructure(
@@ -129,45 +125,22 @@ def _places(run: Index) -> Index:
     return position
 
 
-def renewed_jacobian(
-    measurement: Measurement, series: Sequence[Series], theta: Array
+def seats_jacobian(
+    measurement: Measurement, series: Sequence[Series], theta: Array, *, stated: bool
 ) -> Array:
-    """Jacobian (N, s) over what runs seat anew, by name, without stated seating."""
-    sizes = {
-        name: 1.0
-        for name, setup in measurement.setups.items()
-        if setup.statement.seating is None
-    }
-    return _unknowns_jacobian(measurement, series, theta, sizes)
-
-
-def seated_jacobian(
-    measurement: Measurement, series: Sequence[Series], theta: Array
-) -> Array:
-    """The same (N, s) of the set-ups that state their seating, times it, SI."""
-    sizes = {
-        name: setup.statement.seating
-        for name, setup in measurement.setups.items()
-        if setup.statement.seating
-    }
-    return _unknowns_jacobian(measurement, series, theta, sizes)
-
-
-def _unknowns_jacobian(
-    measurement: Measurement,
-    series: Sequence[Series],
-    theta: Array,
-    sizes: Mapping[str, float],
-) -> Array:
-    """Jacobian (N, s) over the renewed unknowns of some set-ups, times a size of each."""
+    """Jacobian (N, s) over what runs seat anew, by name: of the set-ups that state their
+    seating, times it, SI, or of the others.
+    """
     columns: dict[str, list[tuple[int, float]]] = {}
     for name in dict.fromkeys(s.setup for s in series):
-        if name not in sizes:
-            continue
         setup = measurement.setups[name]
+        seating = setup.statement.seating
+        if (seating is not None) != stated:
+            continue
+        size = 1.0 if seating is None else seating
         for unknown in setup.instrument.renewed:
             full = measurement.names.index(f"{setup.owner}.{unknown}")
-            columns.setdefault(unknown, []).append((full, sizes[name]))
+            columns.setdefault(unknown, []).append((full, size))
     if not columns:
         return np.zeros((len(measurement.setup_of_readings(series)), 0))
     jacobian = measurement.jacobian(series, theta)
@@ -178,38 +151,37 @@ def _unknowns_jacobian(
     return np.column_stack(summed)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _RunErrors:
-    """What the errors that runs share follow from, for N readings."""
+def _run_errors(
+    of_reading: Mapping[str, Array],
+    decouple: scipy.sparse.csr_array,
+    renewed: Array,
+    seated: Array,
+) -> tuple[Array, Index]:
+    """Errors common to a run (N, K), and their kinds (K,).
 
-    decouple: scipy.sparse.csr_array  #: (N, N) sparse
-    channel: Index  #: (N,)
-    shared: Array  #: (N,) error of a run's level, SI
-    stated: Mask  #: (N,) whether it is stated, and is all that the level moves by
-    #: (N, s) Jacobian times the stated noise; what one set-up does not have is 0
-    renewed: Array
-    seated: Array  #: (N, s) Jacobian times the stated seating, SI
-
-    def columns(self) -> tuple[Array, Index]:
-        """Errors common to a run (N, K), and their kinds (K,)."""
-        channels = np.arange(self.channel.max() + 1)
-        of_channel = (self.channel[:, None] == channels).astype(float)
-        stated = self.stated[:, None]
-        level = of_channel * self.shared[:, None]
-        errors = (
-            (SharedError.KNOWN, level * ~stated),
-            (SharedError.RENEWED, self.renewed),
-            (SharedError.STATED_LEVEL, level * stated),
-            (SharedError.STATED_SEAT, self.seated),
-        )
-        blocks = [(of_channel * ~stated, SharedError.LEVEL)]
-        for kind, values in errors:
-            if values.any():
-                blocks.append((self.decouple @ values, kind))
-        columns = np.hstack([values for values, _ in blocks])
-        kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
-        used = columns.any(axis=0)
-        return columns[:, used], kinds[used].astype(np.intp)
+    of_reading       channel (N,), error `shared` (N,) of a run's level, SI, and whether it is
+                     `stated`, and is all that the level moves by
+    renewed, seated  (N, s) Jacobian of what runs seat anew, in stated noise, and times the
+                     stated seating, SI; what one set-up does not have is 0
+    """
+    channel = of_reading["channel"]
+    stated = np.asarray(of_reading["stated"], dtype=bool)[:, None]
+    of_channel = (channel[:, None] == np.arange(channel.max() + 1)).astype(float)
+    level = of_channel * of_reading["shared"][:, None]
+    errors = (
+        (SharedError.KNOWN, level * ~stated),
+        (SharedError.RENEWED, renewed),
+        (SharedError.STATED_LEVEL, level * stated),
+        (SharedError.STATED_SEAT, seated),
+    )
+    blocks = [(of_channel * ~stated, SharedError.LEVEL)]
+    for kind, values in errors:
+        if values.any():
+            blocks.append((decouple @ values, kind))
+    columns = np.hstack([values for values, _ in blocks])
+    kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
+    used = columns.any(axis=0)
+    return columns[:, used], kinds[used].astype(np.intp)
 
 
 MAX_COURSE_TERMS = 4  #: most terms; they leave a twentieth of the variance

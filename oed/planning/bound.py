@@ -126,20 +126,15 @@ class CombinationBound:
 
     def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
         """Worth (options + 1, P) at each price, none last, and prices (P,)."""
-        gains = [
-            part.gain(profile, root)
-            for part, profile in zip(self.parts, profiles, strict=True)
-        ]
-        rates = [
-            float((gain / part.cost).max())
-            for gain, part in zip(gains, self.parts, strict=True)
-        ]
+        pairs = zip(self.parts, profiles, strict=True)
+        gains = [part.gain(profile, root) for part, profile in pairs]
+        of_parts = list(zip(self.parts, gains, profiles, self.mounting, strict=True))
+        rates = [float((gain / part.cost).max()) for part, gain, _, _ in of_parts]
         prices = PRICES * max(rates)
         rows = []
-        for s, part in enumerate(self.parts):
-            constant = float(np.sum((profiles[s] @ root) ** 2))
-            readings = part.worth(gains[s], prices)
-            rows.append(readings + constant - prices * self.mounting[s])
+        for part, gain, profile, seconds in of_parts:
+            constant = float(np.sum((profile @ root) ** 2))
+            rows.append(part.worth(gain, prices) + constant - prices * seconds)
         return np.vstack([*rows, np.zeros(len(prices))]), prices
 
 

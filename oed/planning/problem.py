@@ -74,28 +74,25 @@ class StageMemory:
     def __init__(self) -> None:
         self._stages: dict[Key, tuple[PlanStage | None, PlanStage]] = {}
 
-    def recall(
-        self, plan: "StagePlan", option: Option, chosen: Index, draws: int
-    ) -> PlanStage | None:
-        """The stage after `plan` with the chosen candidates; None where it is new.
+    def stage(
+        self,
+        plan: "StagePlan",
+        option: Option,
+        chosen: Index,
+        draws: int,
+        predict: Callable[[], PlanStage],
+    ) -> PlanStage:
+        """The stage after `plan` with the chosen candidates; predicted where it is new.
 
         plan   stages that this memory holds
         draws  number of machines drawn
         """
-        entry = self._stages.get(_key(plan, option, chosen, draws))
-        return None if entry is None else entry[1]
-
-    def store(self, plan: "StagePlan", stage: PlanStage, draws: int) -> None:
-        """Remember the stage after `plan`."""
         before = plan.stages[-1] if plan.stages else None
-        # with the stage before, so that its identity stays its own
-        key = _key(plan, stage.option, stage.chosen, draws)
-        self._stages[key] = before, stage
-
-
-def _key(plan: "StagePlan", option: Option, chosen: Index, draws: int) -> Key:
-    before = plan.stages[-1] if plan.stages else None
-    return id(before), id(option), draws, np.sort(chosen).tobytes()
+        key = id(before), id(option), draws, np.sort(chosen).tobytes()
+        if key not in self._stages:
+            # with the stage before, so that its identity stays its own
+            self._stages[key] = before, predict()
+        return self._stages[key][1]
 
 
 MIN_RELATIVE_GAIN = 1e-3  #: relative gain below which a change counts as none
@@ -325,13 +322,15 @@ class PlanProblem:
         draws, seed = MACHINE_DRAWS, REFINEMENT_SEED
         if verifies:
             draws, seed = VERIFICATION_DRAWS, VERIFICATION_SEED
-        stage = self.memory.recall(plan, option, chosen, draws)
-        if stage is None:
-            rng = np.random.default_rng([seed, len(plan.stages)])
-            prior = plan.posterior(self.start)
-            stage = predict_stage(option, chosen, prior, probability, rng, draws=draws)
-            self.memory.store(plan, stage, draws)
-        return stage
+        rng = np.random.default_rng([seed, len(plan.stages)])
+        prior = plan.posterior(self.start)
+        return self.memory.stage(
+            plan,
+            option,
+            chosen,
+            draws,
+            lambda: predict_stage(option, chosen, prior, probability, rng, draws=draws),
+        )
 
     def setup_columns(self, option: Option) -> int:
         """Number of an option's unknowns in addition to the machine's."""

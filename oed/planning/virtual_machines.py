@@ -17,6 +17,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -309,14 +310,13 @@ HALF_WIDTH = 1.959964  #: standard deviations to either side of a 95 % interval
 STILL_STEP = 1e-6
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class MachineErrors:
-    """One machine after one stage."""
+class MachineErrors(NamedTuple):
+    """m machines after one stage."""
 
-    mean_square: Array  #: (K,) pose errors over the workspace, SI
-    lost_share: float  #: share of the candidates that it lost in the stage
-    coverage: float  #: share of its parameters within their 95 % intervals
-    pose_coverage: float  #: share of its pose errors within their 95 % intervals
+    mean_square: Array  #: (m, K) pose errors over the workspace, SI
+    lost_share: Array  #: (m,) share of the candidates lost in the stage
+    coverage: Array  #: (m,) share of the parameters within their 95 % intervals
+    pose_coverage: Array  #: (m,) share of the pose errors within their 95 % intervals
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -374,31 +374,27 @@ class WorkspaceErrors:
         truth: Array,
         covariance: Array,
         lost_share: Array,
-    ) -> list[MachineErrors]:
+    ) -> MachineErrors:
         """Errors of m machines, and how many lie within the intervals of a covariance.
 
         controller, believed, truth  (m, np) parameters, SI
         covariance                   (m, np, np) of the believed parameters, SI
         lost_share                   (m,)
         """
+        errors = self.errors(controller, believed, truth)
+        half = HALF_WIDTH * np.sqrt([self.variance(c) for c in covariance])
+        # what hardly moves, as the home pose itself, has errors of rounding alone
+        moved = half > STILL_STEP * half.max(axis=1, keepdims=True)
+        within = moved & (np.abs(errors) <= half)
         free = self.tolerance > 0.0
-        machines = []
-        for k, errors in enumerate(self.errors(controller, believed, truth)):
-            half = HALF_WIDTH * np.sqrt(self.variance(covariance[k]))
-            # what hardly moves, as the home pose itself, has errors of rounding alone
-            moved = half > STILL_STEP * half.max(axis=0)
-            deviation = np.abs(truth[k] - believed[k])[free]
-            parameter_half = HALF_WIDTH * np.sqrt(np.diag(covariance[k]))[free]
-            within = (np.abs(errors) <= half)[moved]
-            machines.append(
-                MachineErrors(
-                    mean_square=np.mean(errors**2, axis=0),
-                    lost_share=float(lost_share[k]),
-                    coverage=float((deviation <= parameter_half).mean()),
-                    pose_coverage=float(within.mean()),
-                )
-            )
-        return machines
+        variances = np.diagonal(covariance, axis1=1, axis2=2)[:, free]
+        deviation = np.abs(truth - believed)[:, free]
+        return MachineErrors(
+            mean_square=np.mean(errors**2, axis=1),
+            lost_share=lost_share,
+            coverage=(deviation <= HALF_WIDTH * np.sqrt(variances)).mean(axis=1),
+            pose_coverage=within.sum(axis=(1, 2)) / moved.sum(axis=(1, 2)),
+        )
 
     def errors(self, controller: Array, believed: Array, truth: Array) -> Array:
         """Pose errors (m, n, K), SI, of true from believed machines."""
@@ -505,32 +501,34 @@ def propagate(
     measurement = stages[0].option.measurement
     workspace = WorkspaceErrors.of(measurement, command, reference)
     propagation = _Propagation(prepare_stages(stages), workspace, start)
-    realised: list[list[MachineErrors]] = []
-    while len(realised) < machines:
-        count = min(MACHINES_AT_ONCE, machines - len(realised))
-        realised += propagation.carry_out(count, rng)
+    batches: list[list[MachineErrors]] = []
+    done = 0
+    while done < machines:
+        count = min(MACHINES_AT_ONCE, machines - done)
+        batches.append(propagation.carry_out(count, rng))
+        done += count
         if progress is not None:
-            progress(len(realised) / machines)
+            progress(done / machines)
     summaries = [
-        _summary(stage, workspace, [machine[k] for machine in realised])
+        _summary(stage, workspace, [batch[k] for batch in batches])
         for k, stage in enumerate(stages)
     ]
     return PlanRealisation(workspace.maps.names, machines, tuple(summaries))
 
 
 def _summary(
-    stage: PlanStage, workspace: WorkspaceErrors, machines: Sequence[MachineErrors]
+    stage: PlanStage, workspace: WorkspaceErrors, batches: Sequence[MachineErrors]
 ) -> StageRealisation:
     """One stage over all virtual machines."""
-    mean_square = np.mean([m.mean_square for m in machines], axis=0)
+    whole = MachineErrors(*map(np.concatenate, zip(*batches, strict=True)))
     return StageRealisation(
         name=stage.option.name,
         predicted=workspace.predicted(stage.covariance),
-        realised=np.sqrt(mean_square),
+        realised=np.sqrt(whole.mean_square.mean(axis=0)),
         predicted_loss=stage.lost_share,
-        realised_loss=float(np.mean([m.lost_share for m in machines])),
-        coverage=float(np.mean([m.coverage for m in machines])),
-        pose_coverage=float(np.mean([m.pose_coverage for m in machines])),
+        realised_loss=float(whole.lost_share.mean()),
+        coverage=float(whole.coverage.mean()),
+        pose_coverage=float(whole.pose_coverage.mean()),
     )
 
 
@@ -540,10 +538,8 @@ class _Propagation:
     workspace: WorkspaceErrors
     start: Array | None
 
-    def carry_out(
-        self, machines: int, rng: np.random.Generator
-    ) -> list[list[MachineErrors]]:
-        """Errors of some virtual machines after each stage, machine by machine."""
+    def carry_out(self, machines: int, rng: np.random.Generator) -> list[MachineErrors]:
+        """Errors of some virtual machines after each stage."""
         truth, normals = self._draw_machines(machines, rng)
         parameters = len(self.workspace.kinematics.held)
         first = self.stages[0].measurement.nominal[:parameters]
@@ -569,7 +565,7 @@ class _Propagation:
                     readings[-1].lost_share,
                 )
             )
-        return [list(of_machine) for of_machine in zip(*errors, strict=True)]
+        return errors
 
     def _draw_machines(
         self, machines: int, rng: np.random.Generator

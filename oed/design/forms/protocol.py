@@ -21,12 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import project_on_estimable
+from oed.design.blocks import parts, project_on_estimable
 from oed.design.pairs import Pairs
 from oed.linear_algebra import symmetric_inverse
 
-#: number of candidates whose products are in memory at once: 500 MB of 1000 columns
-CANDIDATES_AT_ONCE = 65536
 SHORTLIST_PAIRS = 8  #: number of exchanges whose values are computed one by one
 
 
@@ -215,14 +213,6 @@ def quadratic_forms(rows: Array, matrix: Array) -> Array:
     for part in parts(len(rows)):
         forms[part] = np.einsum("ij,ij->i", rows[part] @ matrix, rows[part])
     return forms
-
-
-def parts(count: int) -> list[slice]:
-    """Parts of so many candidates whose products are in memory at once."""
-    return [
-        slice(start, start + CANDIDATES_AT_ONCE)
-        for start in range(0, count, CANDIDATES_AT_ONCE)
-    ]
 
 
 def is_positive_definite(m: Array) -> bool:

@@ -156,9 +156,10 @@ def test_errors_over_the_workspace_are_the_oracles(rng):
     # coverage: a covariance so wide, or so narrow, that all errors are in, or out
     for size, share in ((1e2, 1.0), (1e-6, 0.0)):
         wide = np.tile(np.diag((size * M.tolerance[:7]) ** 2), (2, 1, 1))
-        for one in errors.evaluate(nominal, nominal, truth, wide, np.zeros(2)):
-            assert (one.coverage, one.pose_coverage) == pytest.approx((share, share))
-            assert one.lost_share == 0.0
+        both = errors.evaluate(nominal, nominal, truth, wide, np.zeros(2))
+        assert both.coverage == pytest.approx([share, share])
+        assert both.pose_coverage == pytest.approx([share, share])
+        assert both.lost_share.tolist() == [0.0, 0.0]
     assert pytest.approx(1.959964) == HALF_WIDTH
 
 
