@@ -117,6 +117,9 @@ class Candidates:
             for s, n, end in zip(series, numbers, ends, strict=True)
         ]
         n = int(measurement.free.sum())
+        # the errors that runs share, and the nuisances: of prior variance 1
+        columns = n + every.count + sum(part.shared.shape[2] for part in parts)
+        is_shared = np.arange(columns) >= n
         setups = tuple(dict.fromkeys(s.setup for s in series))
         counts = np.concatenate([part.readings for part in parts])
         first = np.cumsum(counts) - counts
@@ -128,19 +131,14 @@ class Candidates:
         return cls(
             measurement=measurement,
             series=tuple(series),
-            blocks=_join_blocks(parts, measurement.free),
+            blocks=_join_blocks(parts, measurement.free, columns),
             columns=n,
-            prior_information=_shared_information(n, parts),
+            prior_information=np.diag(is_shared.astype(float)),
             members=np.column_stack([first, counts]),
             setups=setups,
             setup=np.repeat(positions, [len(part.readings) for part in parts]),
             command=commands[first],
-            cost=np.array(
-                [
-                    reading_seconds[i : i + c].sum()
-                    for i, c in zip(first, counts, strict=True)
-                ]
-            ),
+            cost=np.add.reduceat(reading_seconds, first),
             setup_cost=np.array(mounting),
             nuisances=nuisances,
         )
@@ -295,26 +293,9 @@ class _SeriesBlocks(NamedTuple):
     nuisances: Array  #: (C, k, u)
 
 
-def _shared_information(n: int, parts: Sequence[_SeriesBlocks]) -> Array:
-    """Prior information (n + r, n + r): 1 on each shared error."""
-    total = n + _shared_columns_of(parts)
-    prior_information = np.zeros((total, total))
-    shared = range(n, total)
-    prior_information[shared, shared] = 1.0
-    return prior_information
-
-
-def _shared_columns_of(parts: Sequence[_SeriesBlocks]) -> int:
-    """Number of errors that runs share and of nuisances."""
-    of_runs = sum(part.shared.shape[2] for part in parts)
-    of_effects = int(parts[0].nuisances.shape[2])
-    return int(of_runs + of_effects)
-
-
-def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
-    """Blocks (C, k, n + r) of all series, with equally many rows each."""
+def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask, columns: int) -> Array:
+    """Blocks (C, k, columns) of all series, with equally many rows each."""
     n = int(free.sum())
-    columns = n + _shared_columns_of(parts)
     most_rows = max(min(part.rows.shape[1], columns) for part in parts)
     blocks = []
     column = n

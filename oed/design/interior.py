@@ -27,9 +27,7 @@ from oed.design import relaxation
 from oed.design.blocks import block_array, information
 from oed.design.forms.protocol import pairwise_traces, weight_gradient
 
-#: ridge of the linear system, which has a unit diagonal, that is tried first
-MIN_RIDGE = 1e-14
-MAX_RIDGE = 1e-6  #: ridge beyond which a step would no longer solve the system
+RIDGE = 1e-14  #: of the linear system, which has a unit diagonal
 
 
 class Move(NamedTuple):
@@ -122,7 +120,8 @@ class StepSystem:
         h[np.arange(count), np.arange(count)] += iterate.a / w + iterate.b / room
         self.scale = 1.0 / np.sqrt(np.diag(h))
         scaled = _symmetric(h) * np.outer(self.scale, self.scale)
-        self.factor = _factorise(scaled)
+        scaled[np.diag_indices_from(scaled)] += RIDGE
+        self.factor = scipy.linalg.cho_factor(scaled, lower=True)
         self.border = self._solve(np.append(np.ones(count), [0.0, 0.0]))
 
     def _solve(self, right: Array) -> Array:
@@ -196,20 +195,6 @@ class StepSystem:
         room = self.problem.caps - iterate.w
         of_matrices = np.sum(iterate.y * s1) + np.sum(iterate.z * s2)
         return float(of_matrices + iterate.a @ iterate.w + iterate.b @ room)
-
-
-def _factorise(h: Array) -> tuple[Array, bool]:
-    """Cholesky factor of a matrix of unit diagonal, with the least ridge it needs."""
-    ridge = MIN_RIDGE
-    while True:
-        try:
-            ridged = h + ridge * np.eye(len(h))
-            factor: tuple[Array, bool] = scipy.linalg.cho_factor(ridged, lower=True)
-            return factor
-        except np.linalg.LinAlgError:
-            ridge *= 10.0
-            if ridge > MAX_RIDGE:
-                raise
 
 
 def _symmetric(matrix: Array) -> Array:

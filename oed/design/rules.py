@@ -250,14 +250,16 @@ class Rules:
         unlimited = dataclasses.replace(setups, most=None)
         return dataclasses.replace(self, setups=unlimited)
 
-    def totals(self, count: int) -> list[tuple[float, Array | None]]:
-        """Sums that weights or costs are held to, time to mount left out."""
+    def totals(
+        self, candidates: Index, mounting: float = 0.0
+    ) -> list[tuple[float, Array | None]]:
+        """Sums that weights or costs of candidates are held to after mounting, s."""
         totals: list[tuple[float, Array | None]] = []
         if self.size is not None:
-            totals.append((float(min(self.size, count)), None))
+            totals.append((float(min(self.size, len(candidates))), None))
         if self.budget is not None:
-            everything = np.arange(count)
-            totals.append((self.budget.total(everything), self.budget.cost))
+            total = self.budget.total(candidates, mounting)
+            totals.append((total, self.budget.cost[candidates]))
         return totals
 
     def time_of(self, chosen: Index) -> float:
@@ -360,7 +362,7 @@ class Rules:
         from oed.design import relaxation
 
         optima = []
-        for total, cost in self.totals(count):
+        for total, cost in self.totals(np.arange(count)):
             start = None
             bound = np.inf
             for sharp in sharpness:
@@ -422,23 +424,19 @@ class Rules:
         number and budget.
         """
         for candidates, mounting in self._combinations(count):
-            if self.size is not None:
-                total = float(min(self.size, len(candidates)))
-                yield RelaxedRules(candidates, total, None)
-            if self.budget is not None:
-                total = self.budget.total(candidates, mounting)
-                cost = self.budget.cost[candidates]
+            for total, cost in self.totals(candidates, mounting):
                 yield RelaxedRules(candidates, total, cost)
 
     def _combinations(self, count: int) -> Iterator[tuple[Index, float]]:
         """Candidates of each combination of set-ups, and its time to mount."""
         everything = np.arange(count)
         setups = self.setups
-        if setups is None:
-            yield everything, 0.0
-            return
-        mounting_counts = setups.seconds is not None and self.budget is not None
-        if setups.most is None and not mounting_counts:
+        mounting_counts = (
+            setups is not None
+            and setups.seconds is not None
+            and self.budget is not None
+        )
+        if setups is None or (setups.most is None and not mounting_counts):
             yield everything, 0.0
             return
         names = setups.mountable

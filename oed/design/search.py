@@ -75,15 +75,30 @@ def select_greedily(
     """Candidates added one by one, each by the criterion, with a ridge for what the
     plan does not determine yet, shared among quotas by weights (C,).
     """
-    chosen = np.zeros(0, dtype=np.intp)
-    level %= evaluator.levels
+    nothing = np.zeros(0, dtype=np.intp)
+    return _complete(
+        evaluator, rules, nothing, level % evaluator.levels, ridge, weights
+    )
+
+
+def _complete(
+    evaluator: PlanEvaluator,
+    rules: Rules,
+    chosen: Index,
+    level: int,
+    ridge: float | None = None,
+    weights: Array | None = None,
+) -> Index:
+    """A plan filled as `select_greedily` does; without a ridge, while values are finite."""
     count = evaluator.count
     allocation = rules.allocation(chosen, weights)
     while (allowed := rules.completions(chosen, count, allocation)).any():
         values = evaluator.values_after_adding(chosen, level, ridge)
         values = np.where(allowed, values, -np.inf)
         best = int(np.argmax(values))
-        if not np.isfinite(values).any():
+        if not np.isfinite(values[best]):
+            if ridge is None:
+                break
             best = int(np.flatnonzero(allowed)[0])
         chosen = np.append(chosen, best)
     return chosen
@@ -179,18 +194,9 @@ class _Exchange:
 
     def fill(self, chosen: Index, level: int) -> Index:
         """Adds the best candidate while the rules allow one."""
-        count = self.evaluator.count
-        if not self.rules.additions(chosen, count).any():
+        if not self.rules.additions(chosen, self.evaluator.count).any():
             return chosen
-        allocation = self.rules.allocation(chosen, None)
-        while (allowed := self.rules.completions(chosen, count, allocation)).any():
-            values = self.evaluator.values_after_adding(chosen, level)
-            values = np.where(allowed, values, -np.inf)
-            best = int(np.argmax(values))
-            if not np.isfinite(values[best]):
-                break
-            chosen = np.append(chosen, best)
-        return chosen
+        return _complete(self.evaluator, self.rules, chosen, level)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -143,9 +143,6 @@ class PowerMean(Criterion):
         second = floored[min(1, len(floored) - 1)]
         if self.p * np.log10(second / least) < MAX_LOST_DIGITS:
             return np.asarray(values)
-        digits_lost = self.p * (float(values.max()) - np.log(least)) / np.log(10.0)
-        if digits_lost < MAX_LOST_DIGITS:
-            return np.asarray(values)
         return evaluate_shortlist(self.eigenvalue_log_phi, m, blocks, values)
 
     def exchange_values(self, pairs: Pairs) -> Array:
