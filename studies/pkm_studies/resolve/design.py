@@ -477,7 +477,22 @@ def _members(
     for i, name in enumerate(quota.setups):
         known_name(name, setups, location.path("setups", i))
     _check_runs(quota, groups, location.key("runs"))
-    inside = _is_within_ranges(quota, measurement.machine, candidates, location)
+    commands = np.vstack([series.reading_commands() for series in candidates])
+    names = [c.name for c in measurement.machine.command]
+    inside = np.ones(len(commands), dtype=bool)
+    for key, span in quota.coordinates.items():
+        coordinate, unit = quantities.split_key(
+            key, command_units(measurement.machine), location
+        )
+        if span.from_ is None and span.to is None:
+            raise location.key(key).error(
+                "the range has no end", "give from, to or both"
+            )
+        values = commands[:, names.index(coordinate)]
+        if span.from_ is not None:
+            inside &= values >= float(units.to_si(span.from_, unit)) - RANGE_TOLERANCE
+        if span.to is not None:
+            inside &= values <= float(units.to_si(span.to, unit)) + RANGE_TOLERANCE
     members = np.zeros(len(groups), dtype=bool)
     for k, group in enumerate(groups):
         by_setup = not quota.setups or group.setup in quota.setups
@@ -500,30 +515,6 @@ def _check_runs(
         if not fnmatch.filter(runs, pattern):
             remedy = suggest(pattern.strip("*"), runs)
             raise location.item(i).error("no run has this name", remedy, pattern)
-
-
-def _is_within_ranges(
-    quota: QuotaTable,
-    machine: Machine,
-    candidates: Sequence[Series],
-    location: Location,
-) -> Mask:
-    """Which readings (N,) are within the ranges of all coordinates."""
-    commands = np.vstack([series.reading_commands() for series in candidates])
-    names = [c.name for c in machine.command]
-    inside = np.ones(len(commands), dtype=bool)
-    for key, span in quota.coordinates.items():
-        name, unit = quantities.split_key(key, command_units(machine), location)
-        if span.from_ is None and span.to is None:
-            raise location.key(key).error(
-                "the range has no end", "give from, to or both"
-            )
-        values = commands[:, names.index(name)]
-        if span.from_ is not None:
-            inside &= values >= float(units.to_si(span.from_, unit)) - RANGE_TOLERANCE
-        if span.to is not None:
-            inside &= values <= float(units.to_si(span.to, unit)) + RANGE_TOLERANCE
-    return inside
 
 
 def _join_equally(

@@ -3,20 +3,20 @@
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from oed import units
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
-from oed.model import Adjustment, Coordinate, Dimension, Machine
+from oed.model import Adjustment, Coordinate, Machine
 from oed.text import suggest
 from pkm_studies import catalogue, quantities, user_code
 from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
 from pkm_studies.study import Study
-from pkm_studies.tables import AdjustTable, DriveTable, MachineTable
+from pkm_studies.tables import DriveTable, MachineTable
 from pkm_studies.user_code import Origin
 
 
@@ -131,34 +131,28 @@ def add_adjustments(
     adjustments: dict[str, Adjustment] = {}
     for i, entry in enumerate(table.adjust):
         field = location.path("adjust", i)
-        adjustments |= _adjustment(entry, machine, fixed, field)
+        unit_by_name = {p.name: p.unit for p in machine.parameters}
+        of_names = field.key("parameters")
+        names, unit = names_of_one_unit(entry.parameters, unit_by_name, of_names)
+        unit_of = dict.fromkeys(AMOUNTS, unit)
+        amounts = quantities.read_values(entry.amounts, unit_of, field)
+        for key, value in entry.amounts.items():
+            if value < 0.0 or (value == 0.0 and key.startswith("most")):
+                raise field.key(key).error("no such amount", "give a number > 0", value)
+        conventions = [name for name in names if name in fixed]
+        if conventions:
+            raise of_names.error(
+                f"{conventions[0]} only chooses the base frame, and nothing moves it",
+                "name the others",
+                entry.parameters,
+            )
+        for name in names:
+            adjustments[name] = Adjustment(_words(entry.by, name), **amounts)
     parameters = tuple(
         dataclasses.replace(p, adjust=adjustments.get(p.name))
         for p in machine.parameters
     )
     return dataclasses.replace(machine, parameters=parameters)
-
-
-def _adjustment(
-    table: AdjustTable, machine: Machine, fixed: Collection[str], location: Location
-) -> dict[str, Adjustment]:
-    """The adjustments of one table by parameter; none of the `fixed` ones."""
-    units = {p.name: p.unit for p in machine.parameters}
-    field = location.key("parameters")
-    names, unit = names_of_one_unit(table.parameters, units, field)
-    unit_of = dict.fromkeys(AMOUNTS, unit)
-    amounts = quantities.read_values(table.amounts, unit_of, location)
-    for key, value in table.amounts.items():
-        if value < 0.0 or (value == 0.0 and key.startswith("most")):
-            raise location.key(key).error("no such amount", "give a number > 0", value)
-    conventions = [name for name in names if name in fixed]
-    if conventions:
-        raise field.error(
-            f"{conventions[0]} only chooses the base frame, and nothing moves it",
-            "name the others",
-            table.parameters,
-        )
-    return {name: Adjustment(_words(table.by, name), **amounts) for name in names}
 
 
 def _words(by: str, name: str) -> str:
@@ -260,7 +254,17 @@ def _family_machine(table: MachineTable, model: Machine, location: Location) -> 
             key, {n: d.unit for n, d in by_name.items()}, location
         )
         array = _array(value, location.key(key))
-        _check_shape(array, by_name[name], location.key(key))
+        dimension = by_name[name]
+        wanted = dimension.shape
+        fits = len(wanted) == array.ndim and all(
+            n is None or n == m for n, m in zip(wanted, array.shape, strict=True)
+        )
+        one_for_all = array.shape == wanted[1:]
+        if not (fits or one_for_all):
+            counts = " x ".join("any" if n is None else str(n) for n in wanted) or "1"
+            shape = " x ".join(map(str, array.shape)) or "1"
+            misfit = f"{shape} numbers, where {counts} belong"
+            raise location.key(key).error(misfit, f"give {dimension.about}")
         geometry[name] = (
             units.to_si(array, unit)
             if array.ndim
@@ -279,20 +283,6 @@ def _array(value: object, location: Location) -> Array:
     except ValueError:
         remedy = "give lists of the same length, one a point"
         raise location.error("the rows differ in length", remedy) from None
-
-
-def _check_shape(array: Array, dimension: Dimension, location: Location) -> None:
-    """One number for all limbs, or the full shape. Raises InputError."""
-    wanted = dimension.shape
-    fits = len(wanted) == array.ndim and all(
-        n is None or n == m for n, m in zip(wanted, array.shape, strict=True)
-    )
-    one_for_all = array.shape == wanted[1:]
-    if not (fits or one_for_all):
-        counts = " x ".join("any" if n is None else str(n) for n in wanted) or "1"
-        shape = " x ".join(map(str, array.shape)) or "1"
-        problem = f"{shape} numbers, where {counts} belong"
-        raise location.error(problem, f"give {dimension.about}")
 
 
 def replace_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:

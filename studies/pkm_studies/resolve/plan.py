@@ -190,33 +190,23 @@ def _check_names(table: PlanTable, location: Location, setups: Sequence[str]) ->
                 "used twice", "give each measurement its own name", measured.name
             )
         names.add(measured.name)
-        _check_setups(measured, entry, setups, owners)
-
-
-def _check_setups(
-    table: MeasuredTable,
-    location: Location,
-    setups: Sequence[str],
-    owners: dict[str, str],
-) -> None:
-    """Check the set-ups of a measurement, and enter it as their owner."""
-    field = location.key("setups" if table.setup is None else "setup")
-    if (table.setup is None) == (not table.setups):
-        raise field.error(
-            "a measurement needs set-ups to mount",
-            'write setup = "NAME", or setups = ["A", "B"]',
-        )
-    for name in table.mounted:
-        known_name(name, setups, field)
-        if name in owners:
-            problem = (
-                f"{owners[name]} mounts it as well; a set-up that is mounted again"
-                " stands elsewhere"
-            )
+        field = entry.key("setups" if measured.setup is None else "setup")
+        if (measured.setup is None) == (not measured.setups):
             raise field.error(
-                problem, "give each measurement a [[setup]] of its own", name
+                "a measurement needs set-ups to mount",
+                'write setup = "NAME", or setups = ["A", "B"]',
             )
-        owners[name] = table.name
+        for name in measured.mounted:
+            known_name(name, setups, field)
+            if name in owners:
+                problem = (
+                    f"{owners[name]} mounts it as well; a set-up that is mounted again"
+                    " stands elsewhere"
+                )
+                raise field.error(
+                    problem, "give each measurement a [[setup]] of its own", name
+                )
+            owners[name] = measured.name
 
 
 def _check_sequences(table: PlanTable, location: Location) -> None:

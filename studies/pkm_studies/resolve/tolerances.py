@@ -122,20 +122,33 @@ def _amounts(
     unit_of = _units(table, setups)
     values = quantities.read_values(table, unit_of, location)
     for key, (name, value) in zip(table, values.items(), strict=True):
-        _check_amount(name, value, location.key(key), table[key])
+        field, amount = location.key(key), table[key]
+        if name.endswith(RUN) or name == SEATING:
+            if value < 0.0:
+                raise field.error(
+                    "an amount of noise is a standard deviation",
+                    "give a number >= 0; 0 says that there is none",
+                    amount,
+                )
+        elif value <= 0.0:
+            raise field.error(
+                "noise must be above 0",
+                "give the standard deviation of one reading",
+                amount,
+            )
         if value != 0.0 and not MIN_SIGMA <= value <= LARGEST:
-            raise location.key(key).error(
+            raise field.error(
                 "no instrument has such a noise",
                 f"check its unit; {MIN_SIGMA:g} to {LARGEST:g} {unit_of[name]} are"
                 " possible",
-                table[key],
+                amount,
             )
         if name == SEATING and not any(s.instrument.renewed for s in setups):
             names = ", ".join(s.name for s in setups)
-            raise location.key(key).error(
+            raise field.error(
                 f"no run of {names} seats anything anew",
                 "remove it: it is for a ball bar, whose cup each run seats anew",
-                table[key],
+                amount,
             )
     return values
 
@@ -151,23 +164,6 @@ def _units(table: Mapping[str, float], setups: Sequence[Setup]) -> dict[str, str
     if renewed or any(key.startswith(SEATING) for key in table):
         unit_of[SEATING] = next(iter(renewed), "m")
     return unit_of
-
-
-def _check_amount(name: str, value: float, location: Location, amount: float) -> None:
-    """Raises InputError for a negative amount, and for single readings without noise."""
-    if name.endswith(RUN) or name == SEATING:
-        if value < 0.0:
-            raise location.error(
-                "an amount of noise is a standard deviation",
-                "give a number >= 0; 0 says that there is none",
-                amount,
-            )
-    elif value <= 0.0:
-        raise location.error(
-            "noise must be above 0",
-            "give the standard deviation of one reading",
-            amount,
-        )
 
 
 # The prior of a study from the results of other machines of its model.

@@ -11,7 +11,7 @@ import numpy as np
 from oed import trust, units
 from oed.base import Array
 from oed.history import MachineSessions, SessionDrift
-from oed.result import EstimateSection, ParameterEstimate, StudyResult
+from oed.result import ParameterEstimate, StudyResult
 from pkm_studies import files
 from pkm_studies.acceptance import PromisedAccuracy
 from pkm_studies.base import InputError, Stream
@@ -82,7 +82,10 @@ def refuse_same_sessions(
     """Raises InputError where two folders hold one session: equal readings."""
     first: dict[tuple[float, ...], Path] = {}
     for result, folder in zip(results, folders, strict=True):
-        readings = _readings_of(estimated_section(result, folder), result.estimate)
+        section, estimate = estimated_section(result, folder), result.estimate
+        readings = tuple(p.value for p in section.parameters.values())
+        if estimate is not None and any(estimate.residuals_before):
+            readings = tuple(estimate.residuals_before)
         if readings in first:
             raise InputError(
                 f"this is the session of {first[readings]}: the readings are equal",
@@ -90,15 +93,6 @@ def refuse_same_sessions(
                 file=str(folder / "result.json"),
             )
         first[readings] = folder
-
-
-def _readings_of(
-    final: Estimated, estimate: EstimateSection | None
-) -> tuple[float, ...]:
-    """What tells the readings of sessions apart: deviations from the nominal machine."""
-    if estimate is not None and any(estimate.residuals_before):
-        return tuple(estimate.residuals_before)
-    return tuple(p.value for p in final.parameters.values())
 
 
 def _machine_parameters(

@@ -105,24 +105,6 @@ def write(
     if isinstance(state, Fitted) and state.posterior is not None:
         save = functools.partial(_save_posterior, result, state.posterior)
         further[POSTERIOR] = save
-    texts = _result_texts(result, state)
-    result = result_folder.write(folder, result, texts, further)
-    if sheet:
-        poses = result.design.poses if result.design is not None else []
-        if state.plan is not None:
-            poses = [
-                reading
-                for series in state.plan.scheduled
-                for reading in planned_readings(state.plan.measurement, series)
-            ]
-        if poses:
-            from pkm_reports import write_sheet
-
-            write_sheet(result, poses, folder)
-    return result
-
-
-def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
     texts = {**state.forecast_files, **state.session_files}
     if state.gap_poses is not None:
         texts["gap_poses.csv"] = state.gap_poses
@@ -140,7 +122,20 @@ def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
         texts["plan.csv"] = csv_text.of_tables([*rows[0]], rows)
     if state.plan is not None:
         texts["plan_poses.json"] = poses_json(state.plan)
-    return texts
+    result = result_folder.write(folder, result, texts, further)
+    if sheet:
+        poses = result.design.poses if result.design is not None else []
+        if state.plan is not None:
+            poses = [
+                reading
+                for series in state.plan.scheduled
+                for reading in planned_readings(state.plan.measurement, series)
+            ]
+        if poses:
+            from pkm_reports import write_sheet
+
+            write_sheet(result, poses, folder)
+    return result
 
 
 def _save_posterior(result: StudyResult, draws: Posterior, path: Path) -> Path:

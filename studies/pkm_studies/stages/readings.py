@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import Array
 from oed.dataset import Dataset, tension_columns
 from oed.measurement import Series, draw_errors, draw_parameters, draw_readings
 from oed.mechanism import AssemblyError
@@ -116,7 +115,14 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> MeasuredRead
 
 def _simulated(state: RunState, series: Sequence[Series]) -> MeasuredReadings:
     measurement, request = state.measurement, state.resolved.gap
-    truth = _true_parameters(state)
+    table, stated = state.study.readings, state.resolved.true_parameters
+    # without stated parameters they are drawn: a nominal machine has nothing to find
+    if table is None or table.draw or not stated:
+        truth = draw_parameters(measurement, state.rng(Stream.TRUTH))
+    else:
+        truth = measurement.drawn
+    for k, name in enumerate(measurement.names):
+        truth[k] = stated.get(name, truth[k])
     if request is None:
         y = draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
         return MeasuredReadings(series=tuple(series), y=y, truth=truth)
@@ -136,22 +142,6 @@ def _simulated(state: RunState, series: Sequence[Series]) -> MeasuredReadings:
         effects=effects,
         covariates=planned.covariates,
     )
-
-
-def _true_parameters(state: RunState) -> Array:
-    """Parameters (n,) of the virtual machine, SI: drawn or nominal, then as stated.
-
-    Without stated parameters they are drawn: a nominal machine has nothing to find.
-    """
-    table, stated = state.study.readings, state.resolved.true_parameters
-    measurement = state.measurement
-    if table is None or table.draw or not stated:
-        truth = draw_parameters(measurement, state.rng(Stream.TRUTH))
-    else:
-        truth = measurement.drawn
-    for k, name in enumerate(measurement.names):
-        truth[k] = stated.get(name, truth[k])
-    return truth
 
 
 # What a run would refuse of a study before it computes anything, for `oed check`.
@@ -181,15 +171,14 @@ def check_inputs(resolved: ResolvedStudy) -> list[str]:
         task = forecast_task(state.resolved, None, state.rng(Stream.FORECAST))
         for name in filter(None, (table.readings, table.check)):
             read_nodes(task, state.study.folder / name)
-    _check_virtual_machine(state)
+    if state.study.readings is not None and state.study.readings.simulate:
+        _check_virtual_machine(state)
     return [] if _has_work(resolved) else [NOTHING_TO_RUN]
 
 
 def _check_virtual_machine(state: RunState) -> None:
     """Raises InputError for a virtual machine that cannot take the reference plan."""
-    table, resolved = state.study.readings, state.resolved
-    if table is None or not table.simulate:
-        return
+    resolved = state.resolved
     if state.study.plan is None and not resolved.candidates:
         simulate_readings(state, planned_series(state))
         return

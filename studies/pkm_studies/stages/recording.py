@@ -140,21 +140,16 @@ def _covariates(plan: PlanToRecord, case: RecordedCase) -> Iterator[_Choice]:
             yield _Choice(name, phrase, case.names(mask), case.reached(mask))
     timed = case.needing(TIME)
     if timed.any():
-        yield from _repeated_reference(plan, case.names(timed))
+        first = plan.series[0].take(
+            np.arange(min(MAX_REFERENCE_READINGS, len(plan.series[0])))
+        )
+        more = _case(plan, plan.measurement, [*plan.series, first], len(first))
+        words = f"the time, and the first {len(first)} readings once more at the end"
+        yield _Choice(
+            "reference run", words, case.names(timed), more.reached(more.needing(TIME))
+        )
     for effect in plan.effects:
         yield from _thermometers(plan, case, effect)
-
-
-def _repeated_reference(
-    plan: PlanToRecord, effects: Sequence[str]
-) -> Iterator[_Choice]:
-    """The first readings once more at the end, with the time of all readings."""
-    first = plan.series[0].take(
-        np.arange(min(MAX_REFERENCE_READINGS, len(plan.series[0])))
-    )
-    more = _case(plan, plan.measurement, [*plan.series, first], len(first))
-    phrase = f"the time, and the first {len(first)} readings once more at the end"
-    yield _Choice("reference run", phrase, effects, more.reached(more.needing(TIME)))
 
 
 def _thermometers(

@@ -47,27 +47,21 @@ def traces(diagnosis: Diagnosis) -> list[Trace]:
     }
     every_channel = diagnosis.problem.rows["channel"].to_numpy()
     listing = []
-    for members in _drawn_runs(diagnosis):
+    # readings of each run; runs too short to be drawn are joined by set-up
+    long: list[Index] = []
+    short: dict[str, list[Index]] = {}
+    for members in diagnosis.problem.members:
+        first = diagnosis.problem.rows.iloc[members[0]]
+        if (every_channel[members] == first["channel"]).sum() < MIN_POINTS:
+            short.setdefault(str(first["setup"]), []).append(members)
+        else:
+            long.append(members)
+    for members in [*long, *map(np.concatenate, short.values())]:
         channels = every_channel[members]
         for channel in dict.fromkeys(channels):
             rows = members[channels == channel]
             listing.append(_trace(diagnosis, rows, str(channel), tips, parts))
     return listing
-
-
-def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:
-    """Readings of each run; runs too short to be drawn are joined by set-up."""
-    rows = diagnosis.problem.rows
-    channels = rows["channel"].to_numpy()
-    long: list[Index] = []
-    short: dict[str, list[Index]] = {}
-    for members in diagnosis.problem.members:
-        first = rows.iloc[members[0]]
-        if (channels[members] == first["channel"]).sum() < MIN_POINTS:
-            short.setdefault(str(first["setup"]), []).append(members)
-        else:
-            long.append(members)
-    return [*long, *(np.concatenate(members) for members in short.values())]
 
 
 def _trace(

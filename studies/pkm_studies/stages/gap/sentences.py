@@ -220,7 +220,12 @@ def second_explanation(gap: GapSection) -> list[str]:
     others = [answer for answer in rest if not has_its_causes(answer, gap)]
     if gap.verdict == UNKNOWN:
         # the first sentence counts all answers with something of unknown form
-        phrases += _unknown_words(others)
+        for answer in others:
+            if UNKNOWN in answer.effects and answer.visible >= MIN_SECOND:
+                names = tuple(name for name in answer.effects if name != UNKNOWN)
+                causes = _spoken(replace(answer, effects=names))
+                chance = chance_of(answer.visible)
+                phrases.append(f"{capitalised(causes)} may act beside it{chance}.")
         others = [answer for answer in others if UNKNOWN not in answer.effects]
     second = max(others, key=lambda answer: answer.visible, default=best)
     if second is best or second.visible < MIN_SECOND:
@@ -239,18 +244,6 @@ def second_explanation(gap: GapSection) -> list[str]:
         )
         return phrases
     return [*phrases, f"The next most likely explanation is {causes}{chance}."]
-
-
-def _unknown_words(answers: Sequence[AnswerRecord]) -> list[str]:
-    """Effects that may act beside one of unknown form."""
-    phrases = []
-    for answer in answers:
-        if UNKNOWN in answer.effects and answer.visible >= MIN_SECOND:
-            names = tuple(name for name in answer.effects if name != UNKNOWN)
-            causes = _spoken(replace(answer, effects=names))
-            chance = chance_of(answer.visible)
-            phrases.append(f"{capitalised(causes)} may act beside it{chance}.")
-    return phrases
 
 
 def _spoken(answer: AnswerRecord) -> str:
