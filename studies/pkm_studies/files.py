@@ -56,11 +56,8 @@ def refusal(error: OSError, further: str = "") -> InputError:
 def check_new(path: Path) -> None:
     """Raises InputError where `path` exists: nothing of the user's is overwritten."""
     if path.exists():
-        raise InputError(
-            "there is a file of this name, and it is not overwritten",
-            "choose another name, or remove it",
-            file=str(path),
-        )
+        problem = "there is a file of this name, and it is not overwritten"
+        raise InputError(problem, "choose another name, or remove it", file=str(path))
 
 
 def digest(content: bytes) -> str:
@@ -80,17 +77,11 @@ def check_writable(path: Path) -> None:
     ancestors = (path, *path.absolute().parents)
     nearest = next(folder for folder in ancestors if folder.exists())
     if not nearest.is_dir():
-        raise InputError(
-            "a file of this name is in the way of a folder",
-            "name another folder",
-            file=str(nearest),
-        )
+        problem = "a file of this name is in the way of a folder"
+        raise InputError(problem, "name another folder", file=str(nearest))
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError(
-            "nothing can be written into this folder",
-            "name another folder",
-            file=str(nearest),
-        )
+        problem = "nothing can be written into this folder"
+        raise InputError(problem, "name another folder", file=str(nearest))
 
 
 def read_text(path: Path, *, limit: int, what: str, is_foreign: bool = False) -> str:
@@ -107,11 +98,8 @@ def read_text(path: Path, *, limit: int, what: str, is_foreign: bool = False) ->
     except UnicodeDecodeError as error:
         is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         if not is_foreign or (b"\0" in content and not is_utf_16):
-            raise InputError(
-                f"the file is no UTF-8 text (byte {error.start + 1})",
-                f"save the {what} as UTF-8",
-                file=file,
-            ) from None
+            problem = f"the file is no UTF-8 text (byte {error.start + 1})"
+            raise InputError(problem, f"save the {what} as UTF-8", file=file) from None
         text = content.decode("utf-16" if is_utf_16 else "cp1252", errors="replace")
     if not text.strip():
         raise InputError("the file is empty", f"write a {what} into it", file=file)

@@ -153,11 +153,8 @@ def written_before(folder: Path) -> list[str]:
     try:
         return list(read_result(path).written.values())
     except InputError as error:
-        raise InputError(
-            "this file is no result, and it is not overwritten",
-            "name another folder",
-            file=str(path),
-        ) from error
+        problem = "this file is no result, and it is not overwritten"
+        raise InputError(problem, "name another folder", file=str(path)) from error
 
 
 def write_report(

@@ -78,9 +78,6 @@ def new_path(name: str, out: Path) -> Path:
     check_name(name, Location("", "NAME"))
     path = out / f"{name}{SUFFIX}"
     if path.exists():
-        raise InputError(
-            "there is a study of this name",
-            "choose another name, or remove it",
-            file=str(path),
-        )
+        problem = "there is a study of this name"
+        raise InputError(problem, "choose another name, or remove it", file=str(path))
     return path

@@ -392,11 +392,9 @@ def _targets(section: AcceptanceSection, table: CsvTable) -> Index:
         pose = ", ".join(
             f"{n} = {planned[absent[0], i]:.6g}" for i, n in enumerate(names)
         )
-        raise InputError(
-            f"{len(absent)} planned poses were not measured, the first at {pose}",
-            "measure them: the stated power holds for the whole plan",
-            file=table.file,
-        )
+        problem = f"{len(absent)} planned poses were not measured, the first at {pose}"
+        remedy = "measure them: the stated power holds for the whole plan"
+        raise InputError(problem, remedy, file=table.file)
     return np.asarray(target)
 
 
@@ -411,12 +409,9 @@ def healthy_accuracy(
     """
     planned = result if plan is None else load_result(plan)
     if planned.machine.name != result.machine.name:
-        raise InputError(
-            f"that is a plan for the machine {planned.machine.name}",
-            f"name a plan for {result.machine.name}",
-            field="--plan",
-            value=str(plan),
-        )
+        problem = f"that is a plan for the machine {planned.machine.name}"
+        remedy = f"name a plan for {result.machine.name}"
+        raise InputError(problem, remedy, field="--plan", value=str(plan))
     accuracy = _predicted(planned)
     if plan is not None and not accuracy:
         raise InputError(
@@ -515,11 +510,9 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     """
     result = load_result(folder)
     if result.acceptance is None:
-        raise InputError(
-            "this result has no acceptance plan",
-            f"make it with `oed verify {shlex.quote(str(folder))}`",
-            file=str(folder / "result.json"),
-        )
+        problem = "this result has no acceptance plan"
+        remedy = f"make it with `oed verify {shlex.quote(str(folder))}`"
+        raise InputError(problem, remedy, file=str(folder / "result.json"))
     refuse_bad_fit(result)
     section = judge_file(result.acceptance, readings)
     section = replace(section, healthy=result.acceptance.healthy)

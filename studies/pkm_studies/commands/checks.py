@@ -216,12 +216,9 @@ KINDS = (".png", ".svg", ".pdf")
 def draw_machine(path: Path, picture: Path, consent: Consent = Consent.RECORDED) -> str:
     """Write the picture of a machine; what it shows. Raises InputError."""
     if picture.suffix.lower() not in KINDS:
-        raise InputError(
-            "no kind of picture",
-            f"end its name in {', '.join(KINDS)}",
-            field="--picture",
-            value=picture.name,
-        )
+        problem = "no kind of picture"
+        remedy = f"end its name in {', '.join(KINDS)}"
+        raise InputError(problem, remedy, field="--picture", value=picture.name)
     files.check_new(picture)
     machine = _machine(path, consent)
     closure = closest_closure(machine, machine.home_command)

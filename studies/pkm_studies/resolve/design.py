@@ -699,26 +699,19 @@ def _check_method(table: DesignTable, location: Location) -> None:
     """Raises InputError for fields that do not go with the method."""
     if table.method == "exchange":
         if table.solver is not None:
-            raise location.key("solver").error(
-                "only weights have a solver",
-                'write method = "relaxed", or leave solver out',
-                table.solver,
-            )
+            problem = "only weights have a solver"
+            remedy = 'write method = "relaxed", or leave solver out'
+            raise location.key("solver").error(problem, remedy, table.solver)
         return
     if table.solver == "scs" and importlib.util.find_spec("scs") is None:
-        raise location.key("solver").error(
-            "SCS is not installed",
-            "pip install pkm-oed[scs], or leave solver out",
-            table.solver,
-        )
+        remedy = "pip install pkm-oed[scs], or leave solver out"
+        raise location.key("solver").error("SCS is not installed", remedy, table.solver)
     field_location = location.key("method")
     weighed = CRITERIA.weighed
     if table.judged_by not in weighed:
-        raise field_location.error(
-            f"weights are for {', '.join(weighed)}, not {table.judged_by}",
-            f"take one of {', '.join(weighed)}, or leave method out",
-            table.method,
-        )
+        problem = f"weights are for {', '.join(weighed)}, not {table.judged_by}"
+        remedy = f"take one of {', '.join(weighed)}, or leave method out"
+        raise field_location.error(problem, remedy, table.method)
     fields = {
         **_given_rules(table),
         "branch_nodes": table.branch_nodes > 0,

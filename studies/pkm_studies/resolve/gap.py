@@ -647,8 +647,6 @@ def _check_number(table: GapDesignTable, candidates: int, location: Location) ->
             "it does not say how many runs to choose", "give runs = 4, or budget_min"
         )
     if table.runs is not None and table.runs > candidates:
-        raise location.key("runs").error(
-            f"there are only {candidates} candidate runs",
-            "choose fewer, or give more conditions",
-            table.runs,
-        )
+        problem = f"there are only {candidates} candidate runs"
+        remedy = "choose fewer, or give more conditions"
+        raise location.key("runs").error(problem, remedy, table.runs)

@@ -570,11 +570,8 @@ def reference_command(
     """The reference's command (n_dof,), or None: the route's first. Raises InputError."""
     setup = measurement.setups[name]
     if setup.instrument.reference == "run":
-        raise location.key("reference_every_min").error(
-            f"the first pose of each run is the reference of {name}",
-            "remove it",
-            every_min,
-        )
+        problem = f"the first pose of each run is the reference of {name}"
+        raise location.key("reference_every_min").error(problem, "remove it", every_min)
     if not table.reference:
         return None
     field = location.key("reference")

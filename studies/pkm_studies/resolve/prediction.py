@@ -51,11 +51,8 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
     grid = grids.grid_commands(study.prediction.coordinates, machine, location)
     command, hold, keys = grid
     if hold is not None:
-        raise location.key(hold).error(
-            "accuracy is predicted without an instrument",
-            "give values with a unit",
-            "hold",
-        )
+        problem = "accuracy is predicted without an instrument"
+        raise location.key(hold).error(problem, "give values with a unit", "hold")
     grids.check_workspace(machine, command, keys, location)
     return PredictionRequest(study.prediction, command, _states(study))
 

@@ -451,11 +451,8 @@ def _tabled(kinematics: Kinematics, path: Path, location: Location) -> Controlle
 def _knots(machine: Machine, path: Path) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
     """Places along the axes of a table, SI, and which axes are a full turn."""
     if not path.is_file():
-        raise InputError(
-            "the axes of the table are missing",
-            "keep the files of `oed compensate --to csv` together",
-            file=str(path),
-        )
+        remedy = "keep the files of `oed compensate --to csv` together"
+        raise InputError("the axes of the table are missing", remedy, file=str(path))
     rows = csv_table.read(path)
     ends = zip(rows.numbers("first"), rows.numbers("last"), strict=True)
     counts, turns = rows.numbers("count"), rows.cells("repeats")

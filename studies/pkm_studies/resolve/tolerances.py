@@ -66,11 +66,9 @@ def _law(study: Study, location: Location) -> NoiseStatement:
             table.reach_readings,
         )
     if table.student_dof is not None and table.outlier_share:
-        raise location.key("outlier_share").error(
-            "student_dof states the tails already",
-            "remove one of the two",
-            table.outlier_share,
-        )
+        problem = "student_dof states the tails already"
+        remedy = "remove one of the two"
+        raise location.key("outlier_share").error(problem, remedy, table.outlier_share)
     # what nobody measured anchors nothing: no part of it is split into further parts
     nothing = 0.0 if table.assumed else None
     return NoiseStatement(
@@ -125,17 +123,12 @@ def _amounts(
         field, amount = location.key(key), table[key]
         if name.endswith(RUN) or name == SEATING:
             if value < 0.0:
-                raise field.error(
-                    "an amount of noise is a standard deviation",
-                    "give a number >= 0; 0 says that there is none",
-                    amount,
-                )
+                problem = "an amount of noise is a standard deviation"
+                remedy = "give a number >= 0; 0 says that there is none"
+                raise field.error(problem, remedy, amount)
         elif value <= 0.0:
-            raise field.error(
-                "noise must be above 0",
-                "give the standard deviation of one reading",
-                amount,
-            )
+            remedy = "give the standard deviation of one reading"
+            raise field.error("noise must be above 0", remedy, amount)
         if value != 0.0 and not MIN_SIGMA <= value <= LARGEST:
             raise field.error(
                 "no instrument has such a noise",
@@ -145,11 +138,8 @@ def _amounts(
             )
         if name == SEATING and not any(s.instrument.renewed for s in setups):
             names = ", ".join(s.name for s in setups)
-            raise field.error(
-                f"no run of {names} seats anything anew",
-                "remove it: it is for a ball bar, whose cup each run seats anew",
-                amount,
-            )
+            remedy = "remove it: it is for a ball bar, whose cup each run seats anew"
+            raise field.error(f"no run of {names} seats anything anew", remedy, amount)
     return values
 
 
@@ -354,11 +344,9 @@ def _matching_tolerances(
     key = next(iter(table.sigma))
     check_not_negative(sigma, location.key(key))
     if sigma > LARGEST:
-        raise location.key(key).error(
-            "no machine has such a tolerance",
-            f"check its unit; up to {LARGEST:g} {unit} is possible",
-            table.sigma[key],
-        )
+        problem = "no machine has such a tolerance"
+        remedy = f"check its unit; up to {LARGEST:g} {unit} is possible"
+        raise location.key(key).error(problem, remedy, table.sigma[key])
     return dict.fromkeys(matched, sigma)
 
 
@@ -410,11 +398,9 @@ def _bounded(machine: Machine, table: BoundsTable, location: Location) -> Machin
             nominal = quantities.format_as(
                 parameter.nominal, unit, next(iter(table.ends))
             )
-            raise location.error(
-                f"the nominal value of {parameter.name}, {nominal}, is not within",
-                "bounds are of the value, not of its error; check their unit",
-                table.ends,
-            )
+            problem = f"the nominal value of {parameter.name}, {nominal}, is not within"
+            remedy = "bounds are of the value, not of its error; check their unit"
+            raise location.error(problem, remedy, table.ends)
         parameters.append(dataclasses.replace(parameter, bounds=(low, high)))
     return machine.with_parameters(parameters)
 

@@ -256,11 +256,9 @@ def _result_folders(folder: Path) -> list[Path]:
         return [folder]
     inside = sorted(path.parent for path in folder.glob("*/result.json"))
     if not inside:
-        raise InputError(
-            "there is no result.json here, nor in a folder of it",
-            "make results with `oed identify STUDY --readings CSV --out DIR`",
-            file=str(folder),
-        )
+        problem = "there is no result.json here, nor in a folder of it"
+        remedy = "make results with `oed identify STUDY --readings CSV --out DIR`"
+        raise InputError(problem, remedy, file=str(folder))
     return inside
 
 

@@ -168,12 +168,9 @@ class Adviser:
                 self.base.resolved, Stream.DESIGN.rng(self.base.study.seed)
             )
             if chosen is None:
-                raise InputError(
-                    "the study chooses no plan to compare with",
-                    "add [design] with a number of readings, or state accuracies",
-                    field="--wanted",
-                    value=AS_PLANNED,
-                )
+                problem = "the study chooses no plan to compare with"
+                remedy = "add [design] with a number of readings, or state accuracies"
+                raise InputError(problem, remedy, field="--wanted", value=AS_PLANNED)
             self.plan = [int(index) for index in chosen.choice.indices]
             wanted = ""
         self.limits = _limits(study, self.base, self.maps.names, wanted)
@@ -644,12 +641,9 @@ def visit_lines(study: Study, named: Path, folder: Path) -> list[str]:
 def _diagnosis(study: Study, result: StudyResult, folder: Path) -> GapSection:
     if result.gap is None or result.study != study.name:
         content = "no diagnosis" if result.gap is None else f"study {result.study}"
-        raise InputError(
-            f"that is not a diagnosis of {study.name}: {content}",
-            "name a folder that `oed diagnose` wrote for this study",
-            field="--after",
-            value=str(folder),
-        )
+        problem = f"that is not a diagnosis of {study.name}: {content}"
+        remedy = "name a folder that `oed diagnose` wrote for this study"
+        raise InputError(problem, remedy, field="--after", value=str(folder))
     return result.gap
 
 

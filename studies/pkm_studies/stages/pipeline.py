@@ -163,12 +163,9 @@ def add_sessions(
     if after is None:
         return state.replace(session_files=_texts([latest]))
     if not latest:
-        raise InputError(
-            "there are no readings of a further session",
-            "give --readings FILE.csv",
-            field="--after",
-            value=str(after),
-        )
+        problem = "there are no readings of a further session"
+        remedy = "give --readings FILE.csv"
+        raise InputError(problem, remedy, field="--after", value=str(after))
     resolved = state.resolved
     earlier, counted = _stored(after, resolved.machine.name)
     every = resolved.measurement_with(resolved.setups)
@@ -203,12 +200,9 @@ def _stored(folder: Path, machine: str) -> tuple[list[list[Path]], list[str]]:
     """Files of each earlier session, oldest first, and digests of their readings."""
     stored = load_result(folder)
     if stored.machine.name != machine:
-        raise InputError(
-            f"that is a result of the machine {stored.machine.name}",
-            f"name one of {machine}",
-            field="--after",
-            value=str(folder),
-        )
+        problem = f"that is a result of the machine {stored.machine.name}"
+        remedy = f"name one of {machine}"
+        raise InputError(problem, remedy, field="--after", value=str(folder))
     sessions: dict[int, list[Path]] = collections.defaultdict(list)
     for name in sorted(stored.written):
         match = PATTERN.fullmatch(name)

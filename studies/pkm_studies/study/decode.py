@@ -45,11 +45,8 @@ def decode_table(kind: type[T], data: object, location: Location) -> T:
     Raises InputError.
     """
     if not isinstance(data, Mapping):
-        raise location.error(
-            "a table is wanted here",
-            f"write it as [{location.field or 'name'}] with fields below",
-            data,
-        )
+        remedy = f"write it as [{location.field or 'name'}] with fields below"
+        raise location.error("a table is wanted here", remedy, data)
     free_keys: str | None = getattr(kind, "free_keys", None)
     fields = msgspec.structs.fields(kind)  # type: ignore[arg-type]
     known_fields = {f.encode_name: f for f in fields if f.name != free_keys}

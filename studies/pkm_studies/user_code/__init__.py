@@ -128,11 +128,8 @@ def _source(path: Path, location: Location) -> bytes:
         )
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise location.error(
-            f"{size / 1e6:.1f} MB are too many for a Python file",
-            "check that this is the right file",
-            str(path),
-        )
+        problem = f"{size / 1e6:.1f} MB are too many for a Python file"
+        raise location.error(problem, "check that this is the right file", str(path))
     return path.read_bytes()
 
 

@@ -447,11 +447,9 @@ def refuse_untestable(state: Measured) -> Measured:
     for effect in _effects(state, request, None):
         reason = untestable(effect, states)
         if reason is not None:
-            raise state.study.location.key("--with").error(
-                f"{effect.name} cannot be estimated: {reason}",
-                "record it, or name other effects",
-                effect.name,
-            )
+            problem = f"{effect.name} cannot be estimated: {reason}"
+            remedy = "record it, or name other effects"
+            raise state.study.location.key("--with").error(problem, remedy, effect.name)
     return state
 
 
