@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from oed import units
 from oed.dataset import ReadingsColumn
 from oed.instrument import Channel, Instrument
-from oed.model import Component, Coordinate, Machine, Parameter, PassiveJoint
+from oed.model import Coordinate, Machine, Parameter, PassiveJoint
 from oed.units import UnitError
 from pkm_studies import catalogue
 from pkm_studies.catalogue import CatalogueEntry
@@ -18,33 +18,28 @@ from pkm_studies.quantities import column
 if TYPE_CHECKING:
     from oed.measurement import Measurement
 
-COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
-PASSIVE, PARAMETER = "passive joint", "parameter"
+
+def _column(name: str, role: str, about: str) -> dict[str, str]:
+    """A column: its name with the usual unit, what it is for, and what it means."""
+    return {"name": name, "role": role, "about": about}
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class ColumnStatement:
-    """One column: its name with the usual unit, what it is for, and what it means."""
-
-    name: str
-    role: str
-    about: str
-
-
-def machine_columns(machine: Machine) -> list[ColumnStatement]:
-    """Commands, joints, pose errors and passive joints of a machine."""
-    errors = [
-        ColumnStatement(f"{c.name}_{units.FINE[c.unit]}", ERROR, _add_drive(c))
-        for c in machine.components
+def _machine_columns(machine: Machine) -> list[dict[str, str]]:
+    """Commands, joints, pose errors, passive joints and parameters of a machine."""
+    commands = [
+        _column(column(c.name, c.unit), "command", _command_convention(c))
+        for c in machine.command
     ]
+    errors = []
+    for c in machine.components:
+        about = c.about if c.compensatable else f"{c.about}; no drive corrects it"
+        errors.append(_column(f"{c.name}_{units.FINE[c.unit]}", "pose error", about))
     return [
-        *(
-            ColumnStatement(column(c.name, c.unit), COMMAND, _command_convention(c))
-            for c in machine.command
-        ),
-        *(_statement(c, JOINT) for c in machine.joints),
+        *commands,
+        *(_statement(c, "joint") for c in machine.joints),
         *errors,
-        *(_statement(joint, PASSIVE) for joint in machine.passive_joints()),
+        *(_statement(joint, "passive joint") for joint in machine.passive_joints()),
+        *(_statement(p, "parameter") for p in machine.parameters),
     ]
 
 
@@ -76,17 +71,11 @@ def conventions_listing(kind: str) -> list[CatalogueEntry]:
 
 
 def _add_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
-    is_machine = kind == "machines"
-    columns = (
-        [*machine_columns(item), *(_statement(p, PARAMETER) for p in item.parameters)]
-        if is_machine
-        else [_statement(c, READING) for c in item.channels]
-    )
-    return dataclasses.replace(
-        entry,
-        frames=machine_frames(item) if is_machine else [],
-        columns=[dataclasses.asdict(column) for column in columns],
-    )
+    if kind == "machines":
+        frames, columns = machine_frames(item), _machine_columns(item)
+    else:
+        frames, columns = [], [_statement(c, "reading") for c in item.channels]
+    return dataclasses.replace(entry, frames=frames, columns=columns)
 
 
 def readings_comments(
@@ -109,8 +98,8 @@ def comments_of(measurement: Measurement) -> Callable[[Sequence[str]], Sequence[
 
 def _statement(
     item: Coordinate | Channel | PassiveJoint | Parameter, role: str
-) -> ColumnStatement:
-    return ColumnStatement(column(item.name, item.unit), role, item.about)
+) -> dict[str, str]:
+    return _column(column(item.name, item.unit), role, item.about)
 
 
 def _command_convention(coordinate: Coordinate) -> str:
@@ -118,12 +107,6 @@ def _command_convention(coordinate: Coordinate) -> str:
     if coordinate.name in "xyz" and coordinate.about:
         return f"{coordinate.about}, with the tool of the set-up"
     return coordinate.about
-
-
-def _add_drive(component: Component) -> str:
-    if component.compensatable:
-        return component.about
-    return f"{component.about}; no drive corrects it"
 
 
 def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> str:
