@@ -8,7 +8,6 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -90,11 +89,7 @@ DEFAULT_SAMPLE = 500  #: poses sampled where a table gives none
 RANGE_TOLERANCE = 1e-9  #: a joint may exceed its range by this much (m, rad)
 
 
-class Poses(NamedTuple):
-    """Commands (n, n_dof), SI, and the run of each."""
-
-    command: Array
-    run: list[str]
+Poses = tuple[Array, list[str]]  #: commands (n, n_dof), SI, and the run of each
 
 
 def form(table: GridTable, location: Location) -> str | None:
@@ -134,8 +129,7 @@ def given_poses(
                 )
             fixed[name] = float(units.to_si(axis, unit))
         points, run = _points(table, kind)
-        command = ToolPoints(kinematics, tool).commands(points, fixed, field)
-        return Poses(command, run)
+        return ToolPoints(kinematics, tool).commands(points, fixed, field), run
     if kind == "sample":
         return _sampled(table, kinematics, tool, location)
     if table.coordinates:
@@ -155,7 +149,7 @@ def _listed(
         name, unit = quantities.split_key(key, command_units(machine), location)
         values[name] = units.to_si(np.array(numbers), unit)
     command = _command(values, machine, location)
-    return Poses(command, ["1"] * len(command))
+    return command, ["1"] * len(command)
 
 
 def _listed_poses(path: Path, machine: Machine, location: Location) -> Poses:
@@ -169,7 +163,7 @@ def _listed_poses(path: Path, machine: Machine, location: Location) -> Poses:
         values[name] = units.to_si(table.numbers(column), unit)
     command = _command(values, machine, in_file)
     has_runs = "run" in table.header
-    return Poses(command, table.cells("run") if has_runs else ["1"] * len(command))
+    return command, table.cells("run") if has_runs else ["1"] * len(command)
 
 
 def _command(
@@ -255,7 +249,7 @@ def _sampled(
         raise location.key("sample").error(
             f"none of {count} sampled poses can be reached", "narrow the ranges", count
         )
-    return Poses(command, ["sample"] * len(command))
+    return command, ["sample"] * len(command)
 
 
 def keep_within_reach(
@@ -499,7 +493,7 @@ def grid_series(
         listed = given_poses(table, kind, measurement.kinematics, setup.tool, location)
         keys = dict.fromkeys(command_units(machine), kind)
         check_tool_workspace(
-            measurement.kinematics, listed.command, keys, location, setup.tool
+            measurement.kinematics, listed[0], keys, location, setup.tool
         )
         return planned_series(measurement, table.setup, *listed, location), 0
     command, hold, keys = grid_commands(table.coordinates, machine, location)

@@ -175,13 +175,8 @@ class DesignSearch:
 
 
 # Polishes the chosen poses, and free settings of their set-ups, off the grid.
-@dataclasses.dataclass(frozen=True)
-class PolishedPlan:
-    """Readings as polished, with their set-ups as moved."""
-
-    measurement: Measurement
-    series: tuple[Series, ...]
-    summary: PolishSummary | None
+#: readings as polished, with their set-ups as moved
+PolishedPlan = tuple[Measurement, tuple[Series, ...], PolishSummary | None]
 
 
 def polish_plan(
@@ -195,7 +190,7 @@ def polish_plan(
     table, retained = criteria.table, criteria.request.retained
     asked = table.polish
     if asked is None or not asked.enabled:
-        return PolishedPlan(measurement, tuple(series), None)
+        return measurement, tuple(series), None
     name, location = table.judged_by, criteria.location.key("polish")
     ranges = _free_ranges(criteria, series, location)
     travel = None
@@ -236,12 +231,12 @@ def polish_plan(
                 key, stands = field(setting, values[setting], si)
                 moved[setup_name][key] = stands
         summary = PolishSummary(value, new_value, polished.summary, moved)
-        return PolishedPlan(polished.measurement, polished.series, summary)
+        return polished.measurement, polished.series, summary
     phrase = "polishing does not improve the criterion"
     if polished.value_after == polished.value_before:
         phrase = polished.summary
     summary = PolishSummary(value, value, phrase, {})
-    return PolishedPlan(measurement, tuple(series), summary)
+    return measurement, tuple(series), summary
 
 
 def _free_ranges(
@@ -527,10 +522,9 @@ def select_design(
     measurement = resolved.measurement
     if resolved.dataset is None and not recorded:
         measurement = resolved.measurement_with({s.setup for s in [*retained, *series]})
-    polished = polish_plan(criteria, measurement, series)
-    measurement, series = polished.measurement, polished.series
+    measurement, polished, summary = polish_plan(criteria, measurement, series)
     ordered = order.order_plan(
-        criteria.table, criteria.location, measurement, retained, series, rng
+        criteria.table, criteria.location, measurement, retained, polished, rng
     )
     return ChosenDesign(
         measurement=measurement,
@@ -542,7 +536,7 @@ def select_design(
         candidates=len(problem.candidates),
         bound_ignores_setups=problem.selects_setups and problem.bound_ignores_setups,
         compared=compared,
-        polish=polished.summary,
+        polish=summary,
         order=ordered.summary,
         robust=robust_summary,
         how_many=size_summary,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -44,13 +44,6 @@ if TYPE_CHECKING:
 
 
 # Simulates readings of a virtual machine that has effects its model lacks.
-class CoefficientPrior(NamedTuple):
-    """Prior standard deviation, SI; `shape`: it only lets the form adapt."""
-
-    sd: float
-    shape: bool
-
-
 def empty_readings(
     measurement: Measurement, series: Sequence[Series], request: GapRequest
 ) -> Dataset:
@@ -113,9 +106,9 @@ def exact_readings(
             f"{name}_{fine[name]}": float(units.from_si(size, fine[name]))
             for name, size in rms_by_channel(y - without, channel_names).items()
         }
-        priors = _priors(entry, states)
+        columns = _acting_columns(entry, states)
         coefficients = {
-            name: {"value": factor * priors[name].sd, "prior_sds": factor}
+            name: {"value": factor * columns[name].scale, "prior_sds": factor}
             for name, factor in factors[k].items()
         }
         listed = {
@@ -142,27 +135,26 @@ def check_coefficients(
         _factors(acting, states, rng)
 
 
-def _priors(
-    acting: ActingEffect, states: Sequence[State]
-) -> dict[str, CoefficientPrior]:
-    priors = {}
+def _acting_columns(acting: ActingEffect, states: Sequence[State]) -> dict[str, Column]:
+    """Columns of an effect by the names of their coefficients."""
+    columns = {}
     for state in states:
         for column in acting.effect.columns(state, **acting.constants):
-            priors[column.name] = CoefficientPrior(column.scale, column.shape)
-    return priors
+            columns[column.name] = column
+    return columns
 
 
 def _factors(
     acting: ActingEffect, states: Sequence[State], rng: np.random.Generator
 ) -> dict[str, float]:
     """Coefficients, in prior standard deviations."""
-    priors = _priors(acting, states)
+    columns = _acting_columns(acting, states)
     if acting.coefficients is not None:
         for name in acting.coefficients:
-            if name not in priors:
-                raise acting.unknown_coefficient(name, list(priors))
+            if name not in columns:
+                raise acting.unknown_coefficient(name, list(columns))
         return {n: acting.size * value for n, value in acting.coefficients.items()}
-    textbook = [name for name, prior in priors.items() if not prior.shape]
+    textbook = [name for name, column in columns.items() if not column.shape]
     values = np.ones(len(textbook))
     if acting.draw:
         values = rng.standard_normal(len(textbook))
