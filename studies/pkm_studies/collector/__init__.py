@@ -150,13 +150,10 @@ def _run(study: Study) -> dict[str, Claim]:
     """The study's claims; reports are written only where a claim is about them."""
     from pkm_studies import stages
 
-    folder = Path(tempfile.mkdtemp(prefix="oed-"))
     report = any(table.of.startswith("report") for table in study.expect.values())
-    try:
-        result = stages.run_study(study, folder, report=report)
-        return {claim.claim: claim for claim in result.claims}
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix="oed-", ignore_cleanup_errors=True) as name:
+        result = stages.run_study(study, Path(name), report=report)
+    return {claim.claim: claim for claim in result.claims}
 
 
 def _line(text: str, claim: str) -> int:

@@ -279,8 +279,16 @@ def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
     nodes = task.candidates[design.indices]
     machine = task.kinematics.machine
     mounting, reading = task.seconds
+    components = {}
+    for k, c in enumerate(task.model.driven):
+        unit = units.FINE[c.unit]
+        components[c.name] = ForecastComponent(
+            unit=unit,
+            expected=units.number(float(design.expected[k]), unit),
+            planned=units.number(float(design.predicted[k]), unit),
+        )
     section = ForecastSection(
-        components=_components(task, design.expected, design.predicted),
+        components=components,
         reference=task.model.reference,
         nodes=[describe.displayed_command(machine, node) for node in nodes],
         setup=task.setup,
@@ -288,20 +296,6 @@ def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
         sentences=[*_plan_section(task, len(nodes), design.predicted)],
     )
     return section, nodes
-
-
-def _components(
-    task: ForecastTask, expected: Array, predicted: Array
-) -> dict[str, ForecastComponent]:
-    components = {}
-    for k, c in enumerate(task.model.driven):
-        unit = units.FINE[c.unit]
-        components[c.name] = ForecastComponent(
-            unit=unit,
-            expected=units.number(float(expected[k]), unit),
-            planned=units.number(float(predicted[k]), unit),
-        )
-    return components
 
 
 def _plan_section(task: ForecastTask, count: int, predicted: Array) -> Iterator[str]:

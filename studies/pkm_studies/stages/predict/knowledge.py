@@ -172,75 +172,61 @@ def accuracy(
         maps = ErrorMaps.of(measurement.kinematics, command, reference, tool)
         remaining = _remaining(knowledge, command, reference, tool)
         before = knowledge.controller_errors(command, reference, tool)
-        if knowledge.effects is not None and knowledge.draws is not None:
-            acting = knowledge.effects.maps(command, reference, rng, tool)
-            predicted = _add_effects(
-                knowledge, maps, acting, remaining, before, reference, rng
-            )
-        else:
-            predicted = predict(
-                maps,
-                measurement.prior_covariance[:count, :count],
-                knowledge.covariance,
-                rng,
-                mean=knowledge.mean,
-                centre=knowledge.centre,
-                known=remaining,
-                before=before,
-                draws=knowledge.draws,
-                worth=knowledge.worth,
-                reference=reference,
-                variance=variances.get(reference),
-            )
+        judged, mean, draws = maps, knowledge.mean, knowledge.draws
+        prior = measurement.prior_covariance[:count, :count]
+        covariance, effects = knowledge.covariance, knowledge.effects
+        if effects is not None and mean is not None and draws is not None:
+            # effects act beside the parameters, and stay as they are
+            acting = effects.maps(command, reference, rng, tool)
+            of_effects = effects.draws.mean(axis=0)
+            judged = _beside(maps, acting)
+            if remaining is None:
+                remaining = _remaining_to_first_order(knowledge, mean, maps)
+            remaining = remaining + acting.raw @ of_effects
+            if knowledge.corrected is not None:  # as far as drives can
+                by_drives = acting.raw - acting.remaining
+                remaining = remaining - by_drives @ knowledge.corrected
+            if before is not None:
+                before = before + acting.raw @ of_effects
+            mean = np.concatenate([mean, of_effects])
+            draws = np.hstack([draws, effects.draws - of_effects])
+            prior = covariance = draws.T @ draws / len(draws)
+        predicted = predict(
+            judged,
+            prior,
+            covariance,
+            rng,
+            mean=mean,
+            centre=knowledge.centre,
+            known=remaining,
+            before=before,
+            draws=draws,
+            worth=knowledge.worth,
+            reference=reference,
+            variance=variances.get(reference),
+        )
         result[reference] = Accuracy(predicted, maps)
     return result
 
 
-def _add_effects(
-    knowledge: ParameterKnowledge,
-    maps: ErrorMaps,
-    acting: ErrorMaps,
-    remaining: Array | None,
-    before: Array | None,
-    reference: Reference,
-    rng: np.random.Generator,
-) -> Prediction:
-    """Accuracy with effects that act beside the parameters and stay as they are."""
-    effects, parameters, mean = knowledge.effects, knowledge.draws, knowledge.mean
-    if effects is None or parameters is None or mean is None:
-        raise LookupError("effects act beside the draws of a fit")
-    both = ErrorMaps(
-        command=maps.command,
-        names=maps.names,
+def _beside(maps: ErrorMaps, acting: ErrorMaps) -> ErrorMaps:
+    """Maps of parameters and effects; compensation of the first leaves the others."""
+    return dataclasses.replace(
+        maps,
         raw=np.concatenate([maps.raw, acting.raw], axis=2),
-        # compensation of the parameters leaves what is known of the effects
         remaining=np.concatenate([maps.remaining, acting.raw], axis=2),
     )
-    of_effects = effects.draws.mean(axis=0)
-    if remaining is None:
-        remaining = maps.remaining @ mean
-        if knowledge.sent is not None:  # not the identified parameters
-            shift = knowledge.sent - knowledge.measurement.machine.nominal - mean
-            remaining = remaining - (maps.raw - maps.remaining) @ shift
-    remaining = remaining + acting.raw @ of_effects
-    if knowledge.corrected is not None:  # as far as drives can
-        remaining = remaining - (acting.raw - acting.remaining) @ knowledge.corrected
-    if before is not None:
-        before = before + acting.raw @ of_effects
-    draws = np.hstack([parameters, effects.draws - of_effects])
-    second_moment = draws.T @ draws / len(draws)
-    return predict(
-        both,
-        second_moment,
-        second_moment,
-        rng,
-        mean=np.concatenate([mean, of_effects]),
-        known=remaining,
-        before=before,
-        draws=draws,
-        worth=knowledge.worth,
-        reference=reference,
-    )
+
+
+def _remaining_to_first_order(
+    knowledge: ParameterKnowledge, mean: Array, maps: ErrorMaps
+) -> Array:
+    """Errors (n, k) that compensation of the parameters leaves if the estimate is right."""
+    remaining = maps.remaining @ mean
+    if knowledge.sent is None:
+        return np.asarray(remaining)
+    shift = knowledge.sent - knowledge.measurement.machine.nominal - mean
+    return np.asarray(remaining - (maps.raw - maps.remaining) @ shift)
 
 
 def compared(
