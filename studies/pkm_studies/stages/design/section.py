@@ -51,7 +51,15 @@ def plan_scores(
     name = judge.table.judged_by
     scores: list[PlanScore] = []
     log_phis: list[float] = []
-    for plan in _comparable(resolved, chosen, identifiability):
+    plans = [_Plan("chosen", chosen.measurement, identifiability)]
+    for given in resolved.reference_plans:
+        measurement = resolved.measurement_with(given.setups)
+        other = Assessment.of(measurement, given.series, judge.table.scaling)
+        same_setups = set(given.setups) <= set(resolved.measurement.setups)
+        same_rank = other.identifiability.rank == identifiability.identifiability.rank
+        if judge.table.prior or (same_setups and same_rank):
+            plans.append(_Plan(given.name, measurement, other))
+    for plan in plans:
         series = plan.identifiability.series
         for_value, for_comparison = _judging(resolved, judge, plan.measurement)
         value = judge.score(name, for_value, series)[1]
@@ -67,21 +75,6 @@ def plan_scores(
         gain = improvement_factors(reference, score.predicted) if reference else {}
         compared.append(replace(score, efficiency=efficiency, gain=gain))
     return compared
-
-
-def _comparable(
-    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: Assessment
-) -> list[_Plan]:
-    table = chosen.criteria.table
-    plans = [_Plan("chosen", chosen.measurement, identifiability)]
-    for reference in resolved.reference_plans:
-        measurement = resolved.measurement_with(reference.setups)
-        other = Assessment.of(measurement, reference.series, table.scaling)
-        same_setups = set(reference.setups) <= set(resolved.measurement.setups)
-        same_rank = other.identifiability.rank == identifiability.identifiability.rank
-        if table.prior or (same_setups and same_rank):
-            plans.append(_Plan(reference.name, measurement, other))
-    return plans
 
 
 def _judging(

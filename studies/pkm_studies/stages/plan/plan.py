@@ -389,7 +389,21 @@ def compute_plan(
     outcome = build_outcome(task, search, best)
     stages = outcome.section.stages
     if task.table.virtual_machines:
-        stages = add_realisations(task, best, stages, state)
+        rng = state.rng(Stream.CAMPAIGN)
+        progress.stage("virtual machines through the plan")
+        machines = task.realise(best, task.table.virtual_machines, rng, progress.share)
+        realised = []
+        for record, stage in zip(stages, machines.stages, strict=True):
+            ratios = zip(machines.names, stage.ratio, strict=True)
+            realised.append(
+                replace(
+                    record,
+                    realised={name: float(v) for name, v in ratios if np.isfinite(v)},
+                    realised_lost=stage.realised_loss * (record.chosen or 0),
+                    coverage=stage.coverage,
+                )
+            )
+        stages = realised
     sequences = task.request.compare
     section = replace(
         outcome.section,
@@ -419,28 +433,6 @@ def _search(task: PlanTask, progress: Progress) -> PlanSearchResult:
         raise task.location.key("budget_min").error(
             str(error), remedy, task.table.budget_min
         ) from error
-
-
-# -- virtual machines through the plan -------------------------------------------------
-def add_realisations(
-    task: PlanTask, plan: StagePlan, records: list[result.StageRecord], state: RunState
-) -> list[result.StageRecord]:
-    """The records of a plan's stages, with the accuracy that virtual machines reach."""
-    progress, rng = state.progress, state.rng(Stream.CAMPAIGN)
-    progress.stage("virtual machines through the plan")
-    machines = task.realise(plan, task.table.virtual_machines, rng, progress.share)
-    realised = []
-    for record, stage in zip(records, machines.stages, strict=True):
-        ratios = zip(machines.names, stage.ratio, strict=True)
-        realised.append(
-            replace(
-                record,
-                realised={name: float(v) for name, v in ratios if np.isfinite(v)},
-                realised_lost=stage.realised_loss * (record.chosen or 0),
-                coverage=stage.coverage,
-            )
-        )
-    return realised
 
 
 # -- where to stop ---------------------------------------------------------------------

@@ -489,33 +489,9 @@ def _mean_square(values: Array) -> Array:
     return np.asarray(np.mean(values**2, axis=-1))
 
 
-# Checks a prediction on virtual machines: read, identified, compensated, measured.
-
-MACHINES_AT_ONCE = 200  #: machines that go through the check together
-
-
-def _draw_machines(
-    measurement: Measurement,
-    series: Sequence[Series],
-    machines: int,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """True parameters (m, n) and noisy readings (m, N) of machines, SI.
-
-    Each machine draws its parameters, then its noise: how many machines are drawn
-    together changes no number.
-    """
-    noise = measurement.noise(series)
-    truth, errors = [], []
-    for _ in range(machines):
-        truth.append(draw_parameters(measurement, rng))
-        errors.append(noise.draw(rng, (len(noise.sigma),)))
-    exact = measurement.readings(series, np.array(truth))
-    return np.array(truth), exact + np.array(errors)
-
-
 # Steps that predict: accuracy over the workspace, and held-out readings.
 
+MACHINES_AT_ONCE = 200  #: virtual machines that go through a check together
 PREDICTIVE_DRAWS = 2000  #: draws used for predictive intervals
 
 
@@ -583,7 +559,14 @@ def _realised(
     errors = []
     for start in range(0, count, MACHINES_AT_ONCE):
         machines = min(MACHINES_AT_ONCE, count - start)
-        truth, y = _draw_machines(measurement, series, machines, rng)
+        noise = measurement.noise(series)
+        drawn, noises = [], []
+        # machine by machine: how many are drawn together changes no number
+        for _ in range(machines):
+            drawn.append(draw_parameters(measurement, rng))
+            noises.append(noise.draw(rng, (len(noise.sigma),)))
+        truth = np.array(drawn)
+        y = measurement.readings(series, truth) + np.array(noises)
         fitted = fit_machines(measurement, series, y, stages=stages)
         driven = driven_errors(
             measurement.kinematics,
