@@ -103,7 +103,15 @@ def _compare(
     measurement: Measurement, series: Sequence[Series], y: Array, section: Estimated
 ) -> RunCheck | None:
     """The comparison; None where the compensated joints are not known."""
-    theta, covariance = _knowledge(measurement, section)
+    # what is known of the machine; set-ups are mounted anew
+    theta = measurement.nominal.copy()
+    covariance = np.array(measurement.prior_covariance)
+    known = {p.name for p in measurement.machine.parameters} & {*section.parameters}
+    places = [k for k, name in enumerate(measurement.names) if name in known]
+    names = [measurement.names[k] for k in places]
+    theta[places], of_machine = si_estimates(section, names)
+    covariance[places] = covariance[:, places] = 0.0
+    covariance[np.ix_(places, places)] = of_machine
     compensated = compensated_series(measurement, series, theta)
     if compensated is None:
         return None
@@ -127,19 +135,6 @@ def _compare(
         readings=len(y),
         p_high=float(stats.chi2.sf(residual @ weighed, len(y))),
     )
-
-
-def _knowledge(measurement: Measurement, section: Estimated) -> tuple[Array, Array]:
-    """Parameters (n,), SI, and their covariance (n, n); set-ups are mounted anew."""
-    theta = measurement.nominal.copy()
-    covariance = np.array(measurement.prior_covariance)
-    known = {p.name for p in measurement.machine.parameters} & {*section.parameters}
-    places = [k for k, name in enumerate(measurement.names) if name in known]
-    names = [measurement.names[k] for k in places]
-    theta[places], of_machine = si_estimates(section, names)
-    covariance[places] = covariance[:, places] = 0.0
-    covariance[np.ix_(places, places)] = of_machine
-    return theta, covariance
 
 
 def check_sentences(check: RunCheck) -> Iterator[str]:

@@ -97,13 +97,19 @@ def adjustable_machine(
             estimate = section.parameters[parameter.name]
             identified[k] = units.to_si(estimate.value, estimate.unit)
     workspace = StudyWorkspace(study, kinematics)
+    errors = component_values(wanted, "--wanted", machine)
+    weights = np.array([1.0 / errors.get(c.name, np.inf) for c in machine.components])
+    if not errors:
+        weights = np.array(
+            [machine.lever if c.unit == "rad" else 1.0 for c in machine.components]
+        )
     return AdjustableMachine(
         kinematics=Kinematics(machine),
         command=workspace.regular,
         reference=workspace.reference,
         identified=identified,
         covariance=_covariance(result, machine, identified, section, folder),
-        weights=_weights(machine, wanted),
+        weights=weights,
     )
 
 
@@ -141,16 +147,6 @@ def _covariance(
     covariance = np.zeros((len(identified), len(identified)))
     covariance[np.ix_(indices, indices)] = about.T @ about / len(draws)
     return covariance
-
-
-def _weights(machine: Machine, wanted: str) -> Array:
-    """Weights (k,) of the components: one over what is wanted, else lengths, SI."""
-    errors = component_values(wanted, "--wanted", machine)
-    if errors:
-        return np.array([1.0 / errors.get(c.name, np.inf) for c in machine.components])
-    return np.array(
-        [machine.lever if c.unit == "rad" else 1.0 for c in machine.components]
-    )
 
 
 def _total(adjustable: AdjustableMachine, wanted: str) -> tuple[str, str]:

@@ -436,7 +436,18 @@ def posterior_section(
         unit = units.display(p.unit)
         values = units.from_si(posterior.pooled[:, k], unit)
         marginals[p.name] = marginal(values, posterior, k, unit)
-    directions, table = _widest(measurement, estimate, posterior, corner)
+    # the directions with the widest posterior, named by what they move most
+    z = posterior.z.reshape(-1, posterior.z.shape[2])
+    widest = np.argsort(-z.std(axis=0))[:corner]
+    scale = np.where(estimate.prior_sd > 0, estimate.prior_sd, 1.0)
+    directions = []
+    for direction in widest:
+        weight = estimate.coordinates.basis[:, direction] / scale
+        largest = size_order(weight)[:MAX_DIRECTION_PARAMETERS]
+        terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
+        directions.append(" ".join(terms))
+    thin = max(1, len(z) // CORNER_DRAWS)
+    draws = z[::thin][:CORNER_DRAWS, widest]
     return PosteriorSection(
         marginals=marginals,
         sampler=posterior.sampler,
@@ -447,7 +458,7 @@ def posterior_section(
         walkers=posterior.walkers,
         autocorrelation=finite_or_none(posterior.autocorrelation),
         directions=directions,
-        corner=table,
+        corner=draws.tolist(),
     )
 
 
@@ -511,28 +522,6 @@ def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal
         ess=float(posterior.ess[k]),
         unit=unit,
     )
-
-
-def _widest(
-    measurement: Measurement, estimate: Estimate, posterior: Posterior, count: int
-) -> tuple[list[str], list[list[float]]]:
-    """The directions with the widest posterior, and draws along them, thinned.
-
-    Draws are in prior standard deviations; a direction's name has the parameters that
-    it moves most.
-    """
-    z = posterior.z.reshape(-1, posterior.z.shape[2])
-    widest = np.argsort(-z.std(axis=0))[:count]
-    scale = np.where(estimate.prior_sd > 0, estimate.prior_sd, 1.0)
-    names = []
-    for k in widest:
-        weight = estimate.coordinates.basis[:, k] / scale
-        largest = size_order(weight)[:MAX_DIRECTION_PARAMETERS]
-        terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
-        names.append(" ".join(terms))
-    thin = max(1, len(z) // CORNER_DRAWS)
-    draws = z[::thin][:CORNER_DRAWS, widest]
-    return names, [[float(v) for v in row] for row in draws]
 
 
 # The step that checks recorded readings before anything is fitted to them.
