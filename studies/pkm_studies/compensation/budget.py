@@ -79,7 +79,7 @@ def complete_budget(
         ):  # else the effects are in its predicted errors
             added = _mean_square_sum(lines)
     section = add_lines(budget, lines)
-    driven = driven_units(content)
+    driven = fine_units(content, driven=True)
     section = msgspec.structs.replace(
         section,
         advice=advice_on(section.lines, section.predicted, driven),
@@ -138,9 +138,9 @@ def _shown(
     controller: ControllerFormat, content: Compensation, budget: BudgetSection
 ) -> dict[str, str]:
     """{component: fine unit} of those that the file corrects, where they are predicted."""
-    shown = driven_units(content)
+    shown = fine_units(content, driven=True)
     if controller.offsets is not None:
-        shown |= undriven_units(content)
+        shown |= fine_units(content, driven=False)
     return {name: unit for name, unit in shown.items() if name in budget.predicted}
 
 
@@ -151,7 +151,7 @@ def _rms_without_axes(
     section: BudgetSection,
 ) -> dict[str, float]:
     """Rms of what no joint drives and no axis corrects, by component in its fine unit."""
-    undriven = undriven_units(content)
+    undriven = fine_units(content, driven=False)
     unknown = budget.predicted | section.predicted
     predicted = [name for name in undriven if name in unknown]
     if not predicted:
@@ -173,7 +173,7 @@ def _axes_sentence(
     """What stays of what no joint drives, without and with additional axes."""
     if not section.no_axes:
         return ""
-    units_of = {n: undriven_units(content)[n] for n in section.no_axes}
+    units_of = {n: fine_units(content, driven=False)[n] for n in section.no_axes}
     without = error_quantities(section.no_axes, units_of)
     sentence = (
         f". No drive of this machine corrects {', '.join(units_of)}: {without} rms"
@@ -233,16 +233,10 @@ def _added(line: FileLine, total: Values) -> BudgetLine:
     )
 
 
-def driven_units(content: Compensation) -> dict[str, str]:
-    """{component: fine unit} of those that the joints drive."""
+def fine_units(content: Compensation, *, driven: bool) -> dict[str, str]:
+    """{component: fine unit} of those that the joints drive, or do not."""
     components = content.machine.components
-    return {c.name: units.FINE[c.unit] for c in components if c.compensatable}
-
-
-def undriven_units(content: Compensation) -> dict[str, str]:
-    """{component: fine unit} of those that no joint drives."""
-    components = content.machine.components
-    return {c.name: units.FINE[c.unit] for c in components if not c.compensatable}
+    return {c.name: units.FINE[c.unit] for c in components if c.compensatable == driven}
 
 
 def _rounding(

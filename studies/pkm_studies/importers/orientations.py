@@ -49,10 +49,7 @@ def angle_columns(
     names: Sequence[str] = getattr(columns, form)
     values = np.column_stack([table.numbers(name, gaps=True) for name in names])
     complete: Mask = np.asarray(np.isfinite(values).all(axis=1))
-    if form == "quaternion":
-        _check_quaternions(values, complete, names, table)
-    if form == "direction":
-        _check_directions(values, complete, names, table)
+    _check_lengths(form, values, complete, names, table)
     matrices = _matrices(form, values[complete], inverse=columns.inverse)
     wanted = stated.axis_names if form == "direction" else stated.names
     angles = stated.angles(matrices)
@@ -219,29 +216,22 @@ def _form(columns: OrientationColumns, location: Location) -> str:
     raise location.error(problem, f"give one of {', '.join(FORMS)}")
 
 
-def _check_quaternions(
-    values: Array, complete: Mask, names: Sequence[str], table: CsvTable
+def _check_lengths(
+    form: str, values: Array, complete: Mask, names: Sequence[str], table: CsvTable
 ) -> None:
+    """Raises InputError for a quaternion that is no rotation, a direction of length 0."""
     length = np.linalg.norm(np.where(complete[:, None], values, 1.0), axis=1)
-    wrong = np.flatnonzero(complete & (np.abs(length - 1.0) > UNIT_LENGTH))
-    if wrong.size:
-        k = int(wrong[0])
-        raise table.error(
-            k,
-            names[0],
-            f"this quaternion has the length {length[k]:.4g}, and a rotation has 1",
-            "give the columns in the order w, x, y, z",
-        )
-
-
-def _check_directions(
-    values: Array, complete: Mask, names: Sequence[str], table: CsvTable
-) -> None:
-    length = np.linalg.norm(np.where(complete[:, None], values, 1.0), axis=1)
-    wrong = np.flatnonzero(complete & (length == 0.0))
-    if wrong.size:
+    if form == "quaternion":
+        wrong = np.abs(length - 1.0) > UNIT_LENGTH
+        problem = "this quaternion has the length {:.4g}, and a rotation has 1"
+        remedy = "give the columns in the order w, x, y, z"
+    elif form == "direction":
+        wrong = length == 0.0
         problem, remedy = "a direction of length 0", "leave its cells empty"
-        raise table.error(int(wrong[0]), names[0], problem, remedy)
+    else:
+        return
+    for k in np.flatnonzero(complete & wrong).tolist():
+        raise table.error(k, names[0], problem.format(length[k]), remedy)
 
 
 def _matrices(form: str, values: Array, *, inverse: bool) -> Array:

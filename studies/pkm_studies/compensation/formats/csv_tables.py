@@ -87,21 +87,21 @@ def _text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Joints as the table has them."""
-    rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
-    columns = []
-    for joint in compensation.machine.joints:
-        name = column(joint.name, joint.unit)
-        values = [float(row[name]) for row in rows]
-        columns.append(units.to_si(values, units.split(name)[1]))
-    return np.column_stack(columns)
+    names = [column(joint.name, joint.unit) for joint in compensation.machine.joints]
+    return _stated(texts, names)
 
 
 def offsets(texts: Texts, compensation: Compensation) -> Array:
     """Offsets for additional axes, as the table has them, SI."""
+    return _stated(texts, [name for name, _ in offset_names(compensation)])
+
+
+def _stated(texts: Texts, names: Sequence[str]) -> Array:
+    """Columns (n, k) of the table by their names, SI."""
     rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
-    names = offset_names(compensation)
     columns = [
-        units.to_si([float(row[name]) for row in rows], unit) for name, unit in names
+        units.to_si([float(row[name]) for row in rows], units.split(name)[1])
+        for name in names
     ]
     return np.column_stack(columns)
 

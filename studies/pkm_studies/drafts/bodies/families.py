@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from oed import units
 from oed.base import Array
@@ -25,7 +26,6 @@ from pkm_studies.drafts.bodies.tree import (
     BodyTree,
     PlacedJoint,
     detached,
-    turn,
 )
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import replace_nominal, unreachable
@@ -74,7 +74,8 @@ class DrawnLimb:
         """The strut's end (3,) after a motion of the driven joint alone."""
         axis, anchor = self.drive.axis, self.drive.at
         if self.kind == CRANK:
-            return np.asarray(anchor + turn(axis, motion) @ (self.end - anchor))
+            turned = Rotation.from_rotvec(motion * axis).apply(self.end - anchor)
+            return np.asarray(anchor + turned)
         return np.asarray(self.end + motion * axis)
 
     def slope(self, motion: float) -> Array:
@@ -412,7 +413,8 @@ def _crank(limb: DrawnLimb, location: Location) -> tuple[Array, Array, float]:
             "draw the bodies where the loops close with bent knees",
         )
     side = float(np.sign(bend))
-    return centre, turn(axis, -limb.drive.joint.value) @ arm, side
+    back = Rotation.from_rotvec(-limb.drive.joint.value * axis)
+    return centre, back.apply(arm), side
 
 
 def _cranks(drawn: DrawnMachine, location: Location) -> Geometry:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Container, Sequence
 
 import numpy as np
@@ -155,18 +154,3 @@ def _is_level_chain(joints: Sequence[PlacedJoint]) -> bool:
     """Whether joints are two hinges about z, up or down."""
     level = [abs(p.axis[2]) > 1.0 - MAX_LACK for p in joints if p.joint.kind == HINGE]
     return len(joints) == 2 and len(level) == 2 and all(level)
-
-
-def turn(axis: Sequence[float] | Array, angle: float) -> Array:
-    """Rotation (3, 3) about an axis, by Rodrigues' formula."""
-    x, y, z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned = math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
-    return np.asarray(np.eye(3) + turned)
-
-
-def rotation_of_quaternion(quaternion: Sequence[float] | Array) -> Array:
-    """Rotation (3, 3) of w, x, y, z of any length above 0."""
-    w, *v = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
-    size = float(np.linalg.norm(v))
-    return np.eye(3) if size == 0.0 else turn(v, 2.0 * math.atan2(size, w))

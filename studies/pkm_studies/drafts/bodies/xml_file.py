@@ -8,6 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from oed.base import Array
 from pkm_studies import files
@@ -23,8 +24,6 @@ from pkm_studies.drafts.bodies.tree import (
     BodyJoint,
     BodyLoop,
     BodyTree,
-    rotation_of_quaternion,
-    turn,
 )
 
 MAX_BYTES = 20_000_000
@@ -145,9 +144,7 @@ def _body(element: ET.Element, location: Location) -> Body:
         read_numbers(_text(element, "origin", key), 3, location, URDF_REMEDY)
         for key in ("xyz", "rpy")
     )
-    rotation = np.eye(3)
-    for k in (2, 1, 0):
-        rotation = rotation @ turn(np.eye(3)[k], angles[k])
+    rotation = Rotation.from_euler("xyz", angles).as_matrix()
     if kind == "fixed":
         return Body(child, parent, position, rotation, ())
     if kind not in URDF_JOINTS:
@@ -360,12 +357,6 @@ class _Reader:
             raise self.location.error(
                 f"body {name} is turned by {', '.join(keys)}", MJCF_REMEDY
             )
-        if key == "quat":
-            return rotation_of_quaternion(self._direction(text, 4))
-        if key == "axisangle":
-            numbers = self._numbers(text, 4)
-            axis = self._direction(" ".join(text.split()[:3]), 3)
-            return turn(axis, self.angle * numbers[3])
         if key == "xyaxes":
             numbers = self._numbers(text, 6)
             z = np.cross(numbers[:3], numbers[3:])
@@ -373,11 +364,20 @@ class _Reader:
                 raise self.location.error(f"{text!r} are no two axes", MJCF_REMEDY)
             x, z = (v / np.linalg.norm(v) for v in (numbers[:3], z))
             return np.column_stack([x, np.cross(z, x), z])
-        rotation = np.eye(3)
-        for letter, number in zip(self.order, self._numbers(text), strict=True):
-            step = turn(np.eye(3)["xyz".index(letter.lower())], self.angle * number)
-            rotation = rotation @ step if letter.islower() else step @ rotation
-        return rotation
+        rotation = Rotation.identity()
+        if key == "quat":
+            quaternion = self._direction(text, 4)
+            rotation = Rotation.from_quat(quaternion, scalar_first=True)
+        elif key == "axisangle":
+            angle = self.angle * self._numbers(text, 4)[3]
+            axis = self._direction(" ".join(text.split()[:3]), 3)
+            rotation = Rotation.from_rotvec(angle * axis)
+        else:
+            # letters may be of both kinds: axes that turn along, and fixed ones
+            for letter, number in zip(self.order, self._numbers(text), strict=True):
+                step = Rotation.from_euler(letter.lower(), self.angle * number)
+                rotation = rotation * step if letter.islower() else step * rotation
+        return np.asarray(rotation.as_matrix())
 
     def _loop(self, element: ET.Element) -> BodyLoop:
         """A connection; the point on the second body follows from the drawing."""
