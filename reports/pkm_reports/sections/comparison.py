@@ -26,9 +26,10 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
 )
-from pkm_reports.sections.answer import is_plan, used_setups, wanted_accuracy
+from pkm_reports.sections.answer import wanted_accuracy
 from pkm_reports.sections.gap import explanation_row
 from pkm_reports.sections.machine_figures import draw_overview
+from pkm_reports.sections.measure import is_plan, used_setups
 
 # What differs between results, in sentences and in one table.
 

@@ -31,7 +31,8 @@ from pkm_reports.blocks import (
     headed_list,
 )
 from pkm_reports.missing import or_nan
-from pkm_reports.sections.answer import fits_with_effects, is_plan
+from pkm_reports.sections.answer import fits_with_effects
+from pkm_reports.sections.measure import is_plan
 
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 

@@ -16,8 +16,6 @@ from oed.result import (
     AlternativePlan,
     MachineInfo,
     PlanSection,
-    RecordedChoice,
-    RecordingSection,
     Sd,
     StageRecord,
     StudyResult,
@@ -44,6 +42,7 @@ from pkm_reports.sections.plan import (
     is_missed,
     minutes,
 )
+from pkm_reports.sections.recording import recording_blocks, remaining_errors
 
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
@@ -387,22 +386,6 @@ def _effects(plan: PlanSection) -> list[Block]:
     )
     table = remaining_errors(errors, allowed.promised, caption)
     return [Paragraph(sentence), table, *recording_blocks(allowed.recording)]
-
-
-def remaining_errors(
-    errors: Mapping[str, Mapping[str, float]], keys: Iterable[str], caption: str
-) -> Table:
-    """Rms errors by title and component with unit (`z_um`), a row a component."""
-    columns = [
-        TableColumn("Error after compensation, rms", wide=True),
-        *TableColumn.numbers(*errors),
-    ]
-    rows = []
-    for key in keys:
-        stem, unit = text.split_unit(key)
-        cells = [text.quantity(accuracy[key], unit) for accuracy in errors.values()]
-        rows.append([stem, *cells])
-    return Table(columns, rows, caption)
 
 
 # -- what virtual machines achieved ----------------------------------------------------
@@ -870,54 +853,3 @@ def _draw_sequences(axes: style.Axes, plan: PlanSection) -> None:
             label = "bound of a sequence's time" if k == len(compared) - 1 else None
             dash: Any = {"color": style.INK, "ms": 10, "mew": 1.4}
             axes.plot(point[:, 0], [record.bound], "_", label=label, **dash)
-
-
-# Table of what else to record: what each covariate or choice is worth to a plan.
-def recording_blocks(recording: RecordingSection | None) -> list[Block]:
-    """A sentence and the table; nothing where no effect depends on a covariate."""
-    if recording is None or not recording.choices:
-        return []
-    keys = list(recording.accuracy)
-    columns = [
-        TableColumn("Record as well", wide=True),
-        TableColumn("Effects that depend on it", wide=True),
-        *TableColumn.numbers("error falls by", "worth", *map(_accuracy_heading, keys)),
-    ]
-    values = _accuracy_values(recording.accuracy, list(recording.accuracy))
-    rows = [["nothing", "", "", "", *values]]
-    for choice in recording.choices:
-        cells = [choice.words, ", ".join(choice.effects) or "-"]
-        cells += [text.percent(choice.gain), _worth(choice)]
-        rows.append([*cells, *_accuracy_values(choice.accuracy, keys)])
-    rows.append(_noise_floor(recording))
-    sentence = (
-        "What else to record: the predicted error where nothing but poses and readings is"
-        " recorded, and what each covariate or choice takes off it. The same covariate must"
-        " be known when the machine is used."
-    )
-    caption = (
-        f"Rms errors over the workspace after compensation by {recording.readings}"
-        " readings, to first order. Worth: further readings like these that would give the"
-        " same without it; floor: no number does."
-    )
-    return [Paragraph(sentence), Table(columns, rows, caption)]
-
-
-def _noise_floor(recording: RecordingSection) -> list[str]:
-    values = _accuracy_values(recording.floor, list(recording.accuracy))
-    return ["nothing, with any number of readings", "", "", "", *values]
-
-
-def _accuracy_heading(key: str) -> str:
-    stem, unit = text.split_unit(key)
-    return f"{stem}, {unit}"
-
-
-def _worth(choice: RecordedChoice) -> str:
-    if choice.readings is None:
-        return "floor"
-    return text.count(choice.readings, "reading")
-
-
-def _accuracy_values(accuracy: dict[str, float], keys: list[str]) -> list[str]:
-    return [f"{accuracy[key]:.3g}" if key in accuracy else "-" for key in keys]

@@ -10,7 +10,7 @@ import report_fixture_plan
 from oed.result import StudyResult
 from pkm_reports import sections, text
 from pkm_reports.blocks import Block, Notice, Table
-from pkm_reports.sections import answer
+from pkm_reports.sections import answer, measure
 from pkm_studies.commands import display
 from pkm_studies.stages import headline
 
@@ -113,7 +113,7 @@ def test_held_out_channels_are_rows_and_contradictions_notices():
 def test_the_readings_stand_in_their_order():
     result = sample()
     poses = result.design.poses
-    table = table_of(answer.measure_blocks(result), "in their order")
+    table = table_of(measure.measure_blocks(result), "in their order")
     titles = [column.title for column in table.columns]
     z = titles.index("z [mm]")
     heights = [float(row[z]) for row in table.rows]

@@ -15,7 +15,7 @@ from oed.design import CRITERIA, Criterion
 from oed.result import CriterionComparison, PlannedReading, RobustSummary, StudyResult
 from pkm_reports import style
 from pkm_reports.page import Document
-from pkm_reports.sections import design, plan
+from pkm_reports.sections import criteria, design, plan
 
 pytestmark = pytest.mark.pictures
 
@@ -161,11 +161,11 @@ def test_efficiencies_are_ratios_of_phi(main):
     phi = np.array([[c.value(m) for m in informations] for c in scored.values()])
     expected = np.exp(phi - np.diag(phi)[:, None])
     entries = [_comparison(k, phi, scored) for k in range(len(scored))]
-    np.testing.assert_allclose(design.efficiencies(entries), expected, rtol=1e-9)
+    np.testing.assert_allclose(criteria.efficiencies(entries), expected, rtol=1e-9)
     # Proven designs leave only the gain, and for D the directions.
     replace = msgspec.structs.replace
     proven = [replace(entry, bound=entry.value, efficiency=1.0) for entry in entries]
-    again = design.efficiencies(proven, 4)
+    again = criteria.efficiencies(proven, 4)
     known = slice(0 if main != "Ds" else 1, None)
     np.testing.assert_allclose(again[known], expected[known], rtol=1e-9)
 
