@@ -62,9 +62,8 @@ def test_poses_agree_with_the_intersection_of_circles(rng):
     x, q = m.kinematics.inverse(command)
     assert np.abs(q - oracle.inverse(command)).max() < 1e-14
     for p in (oracle.NOMINAL, WRONG):
-        assert (
-            np.abs(m.kinematics.forward(q, p, x) - oracle.forward(q, p)).max() < 1e-13
-        )
+        reached = m.kinematics.forward(q, p, x)
+        assert np.abs(reached - oracle.forward(q, p)).max() < 1e-13
 
 
 def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(rng):
@@ -73,20 +72,11 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(rng):
     command = np.column_stack([rng.uniform(-1.5, 1.5, 50), rng.uniform(0.0, 1.5, 50)])
     x, q = m.kinematics.inverse(command)
     printed = oracle.rows(command)
-    step = np.stack(
-        [
-            oracle.forward(q, oracle.NOMINAL + 1e-30j * e).imag / 1e-30
-            for e in np.eye(7)
-        ],
-        -1,
-    )
+    moved = [oracle.forward(q, oracle.NOMINAL + 1e-30j * e) for e in np.eye(7)]
+    step = np.stack(moved, -1).imag / 1e-30
     assert np.abs(printed - step).max() < 1e-13
-    assert (
-        np.abs(
-            m.kinematics.slopes.pose_by_parameter(x, q, oracle.NOMINAL) - printed
-        ).max()
-        < 1e-13
-    )
+    slopes = m.kinematics.slopes.pose_by_parameter(x, q, oracle.NOMINAL)
+    assert np.abs(slopes - printed).max() < 1e-13
 
 
 @pytest.mark.parametrize("number", RM)
@@ -97,12 +87,8 @@ def test_readings_are_the_oracle_s(number):
     channel = {1: [0], 2: [1], 3: [1], 4: [0], 5: [0, 1]}[number]
     theta = np.r_[WRONG, m.nominal[7:]]
     assert np.abs(m.readings([series], theta) - exact[:, channel].ravel()).max() < 1e-13
-    assert (
-        np.abs(
-            m.jacobian([series], m.nominal)[:, :7] - oracle.identification_rows(number)
-        ).max()
-        < 1e-13
-    )
+    slopes = m.jacobian([series], m.nominal)[:, :7]
+    assert np.abs(slopes - oracle.identification_rows(number)).max() < 1e-13
 
 
 def test_tolerances_make_the_deviations_the_paper_began_with(rng):
@@ -163,7 +149,8 @@ def test_differences_carry_the_information_of_the_readings_themselves():
 
 
 # -- identifiability: section 2.3.3 ----------------------------------------------------
-def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d():
+def test_relative_measurements_see_their_combinations():
+    """What RM 1 to 5 see, section 2.3.3; the coefficient of RM 1 is one over D."""
     v = verdict(*_one(1))
     one = pytest.approx(1.0)
     slope = pytest.approx(1 / oracle.D, rel=1e-9)  # 0.279 1/m
@@ -176,22 +163,9 @@ def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d():
         {"z1": slope, "z2": minus, "beta1": one},
         {"z1": slope, "z2": minus, "beta2": one},
     ]
-
-
-def test_rm2_sees_the_difference_of_the_guides_tilts_only():
     v = verdict(*_one(2))
     assert v.rank == 1
     assert table(v) == [{"beta1": pytest.approx(1.0), "beta2": pytest.approx(-1.0)}]
-
-
-SIX = [
-    {"D": pytest.approx(1.0)},
-    {"z1": pytest.approx(1.0), "z2": pytest.approx(-1.0)},
-    *({name: pytest.approx(1.0)} for name in ("l1", "l2", "beta1", "beta2")),
-]
-
-
-def test_rm3_and_rm5_see_all_but_the_common_height():
     for number in (3, 5):
         v = verdict(*_one(number))
         assert v.rank == 6
@@ -199,12 +173,16 @@ def test_rm3_and_rm5_see_all_but_the_common_height():
         assert v.coefficients_by_name(v.lost) == [
             {"z1": pytest.approx(1.0), "z2": pytest.approx(1.0)}
         ]
-
-
-def test_rm4_sees_both_tilts():
     v = verdict(*_one(4))
     assert v.rank == 2
     assert table(v) == [{"beta1": pytest.approx(1.0)}, {"beta2": pytest.approx(1.0)}]
+
+
+SIX = [
+    {"D": pytest.approx(1.0)},
+    {"z1": pytest.approx(1.0), "z2": pytest.approx(-1.0)},
+    *({name: pytest.approx(1.0)} for name in ("l1", "l2", "beta1", "beta2")),
+]
 
 
 def test_all_relative_readings_of_the_workspace_see_six(rng):
@@ -304,6 +282,12 @@ def _one(number: int) -> tuple[Measurement, list[Series]]:
     return m, [series]
 
 
+def _lengths(number: int) -> np.ndarray:
+    """H of an RM on the paper's lines, as lengths."""
+    m, series = _one(number)
+    return scaled(m, series, m.nominal, "length")[:, :7]
+
+
 # -- which measurement: section 2.4, Eq. (17) ------------------------------------------
 def amplification(h: np.ndarray, poses: int) -> float:
     """Eq. (17) over the non-zero singular values."""
@@ -316,8 +300,7 @@ def test_rm2_is_excluded_and_rm4_is_selected():
 
     RM 3 sees what RM 4 sees, and more, 7.9 times as weakly.
     """
-    index = {k: amplification(scaled(*_args(k), "length")[:, :7], 18) for k in (2, 4)}
-    index[3] = amplification(scaled(*_args(3), "length")[:, :7], 33)
+    index = {k: amplification(_lengths(k), 33 if k == 3 else 18) for k in (2, 3, 4)}
     assert index[4] / index[2] == pytest.approx(2.27, abs=0.02)
     assert index[4] > index[2]
     assert index[4] > index[3]
@@ -327,19 +310,9 @@ def test_rm2_is_excluded_and_rm4_is_selected():
 
 def test_rm5_is_the_strongest_for_the_four_of_step_two():
     """D, z1 - z2, l1, l2 with the tilts known."""
-    index = {
-        k: amplification(oracle.identification_rows(k)[:, [0, 1, 3, 4]], 33)
-        for k in (1, 3, 5)
-    }
-    kernel = {
-        k: amplification(scaled(*_args(k), "length")[:, [0, 1, 3, 4]], 33)
-        for k in (1, 3, 5)
-    }
-    assert kernel == pytest.approx(index)
+    four, index = [0, 1, 3, 4], {}
+    for k in (1, 3, 5):
+        index[k] = amplification(oracle.identification_rows(k)[:, four], 33)
+        assert amplification(_lengths(k)[:, four], 33) == pytest.approx(index[k])
     assert index[5] > index[1]
     assert index[5] > index[3]
-
-
-def _args(number: int) -> tuple[Measurement, list[Series], np.ndarray]:
-    m, series = measured(number)
-    return m, [series], m.nominal

@@ -30,7 +30,7 @@ from oed.mechanism import Kinematics
 from oed.model import Machine
 
 NAMES = tuple(
-    f"{kind.format(i)}"
+    kind.format(i)
     for i in (1, 2, 3)
     for kind in ("db{}x", "db{}y", "db{}z", "dR{}x", "dR{}y", "dl{}")
 )
@@ -51,9 +51,6 @@ def lost_text(analysis: Assessment) -> str:
 
 
 # -- the machine and its tables --------------------------------------------------------
-def test_table_4_is_table_3_less_table_1():
-    """To the last digit printed; some of Table 3's are cut off rather than rounded."""
-    assert np.abs(oracle.TABLE_3 - oracle.TABLE_1 - oracle.TABLE_4).max() < 0.0101
 
 
 def test_eq_2_as_printed_has_another_origin_than_table_1():
@@ -199,15 +196,11 @@ def test_full_closure_sees_18_17_and_15_of_18(z):
 
 
 def test_the_lost_directions_are_rotations_of_the_platform_joints():
-    assert lost_text(analyse(FULL, laser_ball_bar.instrument)).startswith(
-        f"Lost, 1 direction of 18: the {SPIN}."
-    )
-    text = lost_text(analyse(FULL, laser_ball_bar.position))
-    assert all(
-        f"rotation of the platform joints about the tool tip, {n} axis" in text
-        for n in "xyz"
-    )
     analysis = analyse(FULL, laser_ball_bar.instrument)
+    lost = f"Lost, 1 direction of 18: the {SPIN}."
+    assert lost_text(analysis).startswith(lost)
+    text = lost_text(analyse(FULL, laser_ball_bar.position))
+    assert all(SPIN.replace("z axis", f"{n} axis") in text for n in "xyz")
     spin = np.zeros((3, 6))
     spin[:, :2] = np.cross([0.0, 0.0, 1.0], oracle.BALLS)[:, :2]
     assert np.abs(analysis.identifiability.combinations @ spin.ravel()).max() < 1e-9
