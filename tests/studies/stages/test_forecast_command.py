@@ -14,7 +14,6 @@ from gantry_forecast import PLAN, QUIET
 from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
-from pkm_studies import stages
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
 from pkm_studies.results import load_result
@@ -46,6 +45,22 @@ def rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(lines))
 
 
+def commands_of(sheet: Path) -> np.ndarray:
+    """Commands (n, 2), m, of a sheet of nodes."""
+    return 1e-3 * np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in rows(sheet)])
+
+
+def check_sent(file: Path, step: int) -> None:
+    """The nominal controller sends the corrected command to the corrected joints."""
+    for row in rows(file)[::step]:
+        v = {name: float(value) * 1e-3 for name, value in row.items()}
+        kept = planar_geometry.inverse(np.array([v["y_mm"], v["z_mm"]]))
+        corrected = np.array([v["corrected_y_mm"], v["corrected_z_mm"]])
+        change = planar_geometry.inverse(corrected) - kept
+        expected = [v["correction_q1_mm"], v["correction_q2_mm"]]
+        assert change == pytest.approx(expected, abs=5e-9)
+
+
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("forecast")
@@ -53,16 +68,15 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def filled(folder: Path, name: str, sigma: np.ndarray, header: str = "") -> Path:
-    """The sheet as the oracle's gantry fills it in."""
-    sheet = rows(folder / "out" / "forecast_nodes.csv")
-    command = np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet]) * 1e-3
+def filled(folder: Path, name: str) -> Path:
+    """The sheet as the oracle's gantry fills it in, with the noise of the instrument."""
+    command = commands_of(folder / "out" / "forecast_nodes.csv")
     errors = forecast_data.planar().errors(command)
-    errors = errors + sigma * np.random.default_rng(3).standard_normal(errors.shape)
-    columns = ["y_mm", "z_mm", "error_y_um", "error_z_um"]
+    noise = np.random.default_rng(3).standard_normal(errors.shape)
     path = folder / name
-    units = np.array([1e-3, 1e-3, 1e-6, 1e-6])
-    forecast_data.write(path, columns, command, errors, units)
+    forecast_data.write(
+        path, COLUMNS, command, errors + forecast_data.SIGMA * noise, UNITS
+    )
     return path
 
 
@@ -82,85 +96,58 @@ def test_the_plan_is_a_sheet_to_fill_in(planned):
     assert "not measured yet" in page
 
 
-def table_joints(path: Path) -> RegularGridInterpolator:
-    """Corrections of the joints, m, over commands, m, as a controller interpolates them."""
-    table = rows(path)
-    y, z = (np.unique([float(r[n]) for r in table]) for n in ("y_mm", "z_mm"))
-    names = ("correction_q1_mm", "correction_q2_mm")
-    values = np.array([[float(r[n]) for n in names] for r in table])
-    return RegularGridInterpolator((y, z), values.reshape(len(y), len(z), 2))
-
-
 def test_the_table_brings_a_hundredth(planned, capsys):
-    nodes = filled(planned, "nodes.csv", forecast_data.SIGMA)
+    nodes = filled(planned, "nodes.csv")
     out = planned / "out"
     assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
     assert "the table is predicted to leave" in capsys.readouterr().out
     gantry = forecast_data.planar()
-    lines = np.array(
-        [(y, z) for z in np.arange(6) * 300.0 for y in np.arange(-1500, 1501, 50.0)]
+    command = np.array(
+        [(y, z) for z in np.arange(6) * 0.3 for y in np.arange(-30, 31) / 20]
     )
-    added = 1e-3 * table_joints(out / "forecast_table.csv")(lines)
-    command = np.vstack([lines * 1e-3, [[0.0, 0.0]]])
-    joints = gantry.joints(command)
-    at_home = 1e-3 * table_joints(out / "forecast_table.csv")([[0.0, 0.0]])
-    error = gantry.gantry.pose(joints + np.vstack([added, at_home])) - command
+    both = np.vstack([command, [[0.0, 0.0]]])
+    added = table(out / "forecast_table.csv")(both)
+    error = gantry.gantry.pose(gantry.joints(both) + added) - both
     left = (error[:-1] - error[-1]) * 1e6
-    assert np.abs(gantry.errors(lines * 1e-3)).max() > 60e-6
+    assert np.abs(gantry.errors(command)).max() > 60e-6
     assert np.abs(left).max() < 10.0
-    forecast = section(out)
-    for k, c in enumerate(forecast["components"].values()):
+    for k, c in enumerate(section(out)["components"].values()):
         rms = np.sqrt(np.mean(left[:, k] ** 2))
         assert 0.5 * c["low"] < rms < 1.2 * c["high"]
         assert c["low"] < c["predicted"] < c["high"]
         assert 0.4 < c["left_out"] / c["left_out_predicted"] < 1.5
     page = (out / "report.html").read_text()
     assert "Left out: how far each node is from what all other nodes predict" in page
-    # the nominal controller sends the corrected command to the corrected joints
-    for row in rows(out / "forecast_table.csv")[::7]:
-        v = {name: float(value) * 1e-3 for name, value in row.items()}
-        command = np.array([v["y_mm"], v["z_mm"]])
-        sent = np.array([v["corrected_y_mm"], v["corrected_z_mm"]])
-        change = planar_geometry.inverse(sent) - planar_geometry.inverse(command)
-        expected = [v["correction_q1_mm"], v["correction_q2_mm"]]
-        assert change == pytest.approx(expected, abs=5e-9)
+    check_sent(out / "forecast_table.csv", 7)
 
 
 def test_a_wrong_reading_is_named_and_stated_noise_counts(planned, capsys):
-    nodes = filled(planned, "wrong.csv", forecast_data.SIGMA)
+    nodes, out = filled(planned, "wrong.csv"), planned / "out"
     lines = nodes.read_text().splitlines()
     y, z, error, other = lines[5].split(",")
     lines[5] = f"{y},{z},{float(error) + 60.0},{other}"
     nodes.write_text("\n".join(lines))
-    out = planned / "out"
-    assert (
-        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
-    )
+    call = ("forecast", study(planned, QUIET), "--out", out, "--readings", nodes)
+    assert run(*call) == 0
     said = capsys.readouterr().out
     assert f"y_mm = {float(y):g}, z_mm = {float(z):g}" in said
     assert "measure it again" in said
-    noisy = "\n".join(
-        [lines[0] + ",sigma_y_um"]
-        + [line + (",200" if k == 4 else ",") for k, line in enumerate(lines[1:])]
-    )
-    nodes.write_text(noisy)
-    assert (
-        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
-    )
+    sigmas = [",sigma_y_um", *("," for _ in lines[1:])]
+    sigmas[5] = ",200"
+    nodes.write_text("\n".join(map("".join, zip(lines, sigmas, strict=True))))
+    assert run(*call) == 0
     assert "measure it again" not in capsys.readouterr().out
 
 
 def test_errors_in_another_unit_are_doubted(planned, capsys):
     """Millimetres under a header in micrometres."""
-    nodes = filled(planned, "wrong_unit.csv", forecast_data.SIGMA)
+    nodes, out = filled(planned, "wrong_unit.csv"), planned / "out_small"
     header, *lines = nodes.read_text().splitlines()
     cells = [line.split(",") for line in lines]
     small = [[y, z, *(f"{1e-3 * float(e):.6f}" for e in rest)] for y, z, *rest in cells]
     nodes.write_text("\n".join([header, *(",".join(row) for row in small)]))
-    out = planned / "out_small"
-    assert (
-        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
-    )
+    call = ("forecast", study(planned, QUIET), "--out", out, "--readings", nodes)
+    assert run(*call) == 0
     assert "check the unit of the file" in capsys.readouterr().out
 
 
@@ -171,7 +158,7 @@ def test_errors_in_another_unit_are_doubted(planned, capsys):
     (lambda t: t.replace("0,1200,", "0,1200,x", 1), "not a finite number"),
 ])  # fmt: skip
 def test_bad_nodes_are_refused(planned, capsys, change, words):
-    nodes = filled(planned, "bad.csv", forecast_data.SIGMA)
+    nodes = filled(planned, "bad.csv")
     text = nodes.read_text()
     assert "0,1200," in text
     nodes.write_text(change(text))
@@ -244,20 +231,16 @@ name = "rm4"
 instrument = "rm4"
 [[setup]]
 name = "rm5" """
-    text = PLAN.replace('[[setup]]\nname = "rm5"', setup).replace(
-        "[noise]\n", "[noise]\nrm4 = { dy_um = 3.0 }\n"
-    )
+    eight = 'nodes = 8\ncompensated = false\nsetup = "rm5"'
+    text = PLAN.replace('[[setup]]\nname = "rm5"', setup) + CALIBRATED
+    text = text.replace("[noise]\n", "[noise]\nrm4 = { dy_um = 3.0 }\n")
     text = text.replace("pdf = false", "pdf = false\nhtml = false")
-    text = (
-        text.replace("nodes = 28", 'nodes = 8\ncompensated = false\nsetup = "rm5"')
-        + CALIBRATED
-    )
+    text = text.replace("nodes = 28", eight)
     out, path = tmp_path / "out", study(tmp_path, text)
     truth = planar_geometry.NOMINAL + 1e-3 * np.array([0.6, 0, 0, -0.4, 0.3, 0.3, 0])
     assert run("run", path, "--out", out, "--quiet") == 0
     assert section(out)["readings"] == 0
-    sheet = rows(out / "forecast_nodes.csv")
-    command = np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet]) * 1e-3
+    command = commands_of(out / "forecast_nodes.csv")
 
     def errors(at: np.ndarray) -> np.ndarray:
         both = np.vstack([at, [[0.0, 0.0]]])
@@ -265,20 +248,17 @@ name = "rm5" """
         return error[:-1] - error[-1]
 
     nodes = tmp_path / "nodes.csv"
-    columns = ["y_mm", "z_mm", "error_y_um", "error_z_um"]
-    units = np.array([1e-3, 1e-3, 1e-6, 1e-6])
-    forecast_data.write(nodes, columns, command, errors(command), units)
+    forecast_data.write(nodes, COLUMNS, command, errors(command), UNITS)
     assert run("forecast", path, "--out", out, "--readings", nodes) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["estimate"]["parameters"]["D"]["value"] == pytest.approx(
         3584.6, abs=1
     )
-    lines = np.array([(y, z) for z in (100.0, 800.0) for y in (-1300, -700, 200, 1400)])
-    added = 1e-3 * table_joints(out / "forecast_table.csv")(lines)
-    joints = planar_geometry.inverse(lines * 1e-3) + added
+    lines = np.array([(y, z) for z in (0.1, 0.8) for y in (-1.3, -0.7, 0.2, 1.4)])
+    joints = planar_geometry.inverse(lines) + table(out / "forecast_table.csv")(lines)
     home = planar_geometry.forward(planar_geometry.inverse(np.zeros(2)), truth)
-    left = planar_geometry.forward(joints, truth) - lines * 1e-3 - home
-    assert np.abs(errors(lines * 1e-3)).max() > 200e-6
+    left = planar_geometry.forward(joints, truth) - lines - home
+    assert np.abs(errors(lines)).max() > 200e-6
     assert np.abs(left).max() < 12e-6
     # a controller that holds the estimate leaves nothing that parameters explain
     predicted = {}
@@ -288,7 +268,7 @@ name = "rm5" """
         resolved = resolve(Study.load(held), readings=[])
         knowledge = stored_knowledge(resolved, load_result(out), out)
         task = forecast_task(resolved, knowledge, np.random.default_rng(0))
-        predicted[name] = np.abs(task.predicted_errors(lines * 1e-3)).max()
+        predicted[name] = np.abs(task.predicted_errors(lines)).max()
     assert predicted["nominal"] > 200e-6
     assert predicted["held"] < 1e-6
 
@@ -330,6 +310,7 @@ Run = Callable[..., tuple[int, str, str]]
 PITCH, AMPLITUDE = 10e-3, 4e-6
 UNITS = np.array([1e-3, 1e-3, 1e-6, 1e-6])
 COLUMNS = ["y_mm", "z_mm", "error_y_um", "error_z_um"]
+PLACES = np.random.default_rng(11).uniform([-1.5, 0.0], [1.5, 1.5], (1000, 2))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,22 +333,16 @@ class Machine:
 def written(path: Path, machine: Machine, command: Array, seed: int) -> Path:
     """A file of errors (n, 2) as they are read, with the noise of the instrument."""
     errors = machine.errors(command)
-    noise = forecast_data.SIGMA * np.random.default_rng(seed).standard_normal(
-        errors.shape
-    )
-    forecast_data.write(path, COLUMNS, command, errors + noise, UNITS)
+    noise = np.random.default_rng(seed).standard_normal(errors.shape)
+    errors = errors + forecast_data.SIGMA * noise
+    forecast_data.write(path, COLUMNS, command, errors, UNITS)
     return path
 
 
 @pytest.fixture(scope="module")
-def planned_nodes(tmp_path_factory: pytest.TempPathFactory) -> Array:
+def planned_nodes(planned: Path) -> Array:
     """The nodes (28, 2) that the study plans, m."""
-    folder = tmp_path_factory.mktemp("plan")
-    (folder / "gantry.study.toml").write_text(QUIET)
-    study = Study.load(folder / "gantry.study.toml")
-    stages.forecast_study(study, folder / "out")
-    sheet = rows(folder / "out" / "forecast_nodes.csv")
-    return 1e-3 * np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet])
+    return commands_of(planned / "out" / "forecast_nodes.csv")
 
 
 def measured(
@@ -394,10 +369,6 @@ def table(path: Path) -> Callable[[Array], Array]:
     return lambda command: 1e-3 * grid(1e3 * command)
 
 
-def places(count: int) -> Array:
-    return np.random.default_rng(11).uniform([-1.5, 0.0], [1.5, 1.5], (count, 2))
-
-
 def test_the_table_goes_into_the_controllers_file(planned_nodes, tmp_path, oed):
     measured(tmp_path, oed, Machine(), planned_nodes)
     out = tmp_path / "out"
@@ -405,20 +376,12 @@ def test_the_table_goes_into_the_controllers_file(planned_nodes, tmp_path, oed):
     assert code == 0, error
     assert "Errors measured at nodes (oed forecast) are part of the table." in said
     added = table(out / "compensation.csv")
-    command = places(400)
+    command = PLACES[:400]
     before = 1e6 * Machine().errors(command)
     after = 1e6 * Machine(added=added).errors(command)
     assert np.sqrt(np.mean(before**2)) > 25.0
     assert np.abs(after).max() < 10.0
-    # the nominal controller sends the corrected command to the corrected joints
-    for row in rows(out / "compensation.csv")[::37]:
-        v = {name: 1e-3 * float(value) for name, value in row.items()}
-        sent = planar_geometry.inverse(
-            np.array([v["corrected_y_mm"], v["corrected_z_mm"]])
-        )
-        kept = planar_geometry.inverse(np.array([v["y_mm"], v["z_mm"]]))
-        expected = [v["correction_q1_mm"], v["correction_q2_mm"]]
-        assert sent - kept == pytest.approx(expected, abs=5e-9)
+    check_sent(out / "compensation.csv", 37)
     assert oed("compensate", out, "--to", "json")[0] == 0
     columns = json.loads((out / "compensation.json").read_text())["table"]
     first = [float(r["correction_q1_mm"]) for r in rows(out / "compensation.csv")]
@@ -453,7 +416,7 @@ def test_a_finer_line_widens_the_interval(planned_nodes, tmp_path, oed):
     assert "shorter than" not in said
     wide = components()
     added = table(tmp_path / "out" / "forecast_table.csv")
-    left = 1e6 * Machine(AMPLITUDE, added).errors(places(1000))
+    left = 1e6 * Machine(AMPLITUDE, added).errors(PLACES)
     realised = np.sqrt(np.mean(left**2, axis=0))
     assert realised[0] > narrow["y"]["high"]
     for k, name in enumerate("yz"):

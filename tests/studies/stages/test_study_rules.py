@@ -23,20 +23,20 @@ from design_sample import (
 from oed import dataset
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
+from pkm_studies.resolve import ResolvedStudy
+
+#: of one set-up, four points each
+FOUR_CIRCLES = GRID.format(name="cup").replace(
+    "[1086, 1246]", "[1086, 1146, 1206, 1246]"
+)
 
 
 # -- rules -----------------------------------------------------------------------------
 def test_the_best_two_of_three_setups():
-    resolved, design = chosen(
-        text(
-            KNOWN.replace("3", "4") + "setups_max = 2\n",
-            tables=GRIDS.replace(", 230]", "]"),
-            setups=THREE,
-        )
-    )
-    owner = np.repeat(
-        [s.setup for s in resolved.candidates], [len(s) for s in resolved.candidates]
-    )
+    plan = KNOWN.replace("3", "4") + "setups_max = 2\n"
+    tables = GRIDS.replace(", 230]", "]")
+    resolved, design = chosen(text(plan, tables=tables, setups=THREE))
+    owner = np.concatenate([[s.setup] * len(s) for s in resolved.candidates])
     h = rows(resolved)
     subsets = (list(s) for s in itertools.combinations(range(len(h)), 4))
     best = max(value("D", h[s], resolved) for s in subsets if len(set(owner[s])) <= 2)
@@ -49,14 +49,8 @@ def test_the_best_two_of_three_setups():
 
 
 def test_a_budget_is_respected_and_used():
-    resolved, design = chosen(
-        text(
-            'scaling = "tolerance"\nprior = true\nbudget_min = 31\n',
-            tables=GRIDS,
-            setups=THREE,
-        )
-    )
-    report = section(resolved, design)
+    plan = 'scaling = "tolerance"\nprior = true\nbudget_min = 31\n'
+    report = section(*chosen(text(plan, tables=GRIDS, setups=THREE)))
     assert report.cost_min is not None
     # two set-ups of 15 min, and 10 readings of 6 s
     assert report.cost_min <= 31.0 + 1e-9
@@ -65,75 +59,59 @@ def test_a_budget_is_respected_and_used():
     assert sum(map(len, fewer.series)) == 3
 
 
+def nearest(plan: str) -> float:
+    """Least distance of two readings of a plan, in units of 320 mm and 110 degrees."""
+    _, design = chosen(text(plan))
+    command = np.vstack([s.reading_commands() for s in design.series])[:, :2]
+    command /= [0.32, np.radians(110)]
+    distances = np.linalg.norm(command[:, None] - command[None], axis=2)
+    return float(distances[np.triu_indices(3, 1)].min())
+
+
 def test_readings_keep_their_distance():
-    _, design = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
-    command = np.vstack([s.reading_commands() for s in design.series])[:, :2] / [
-        0.32,
-        np.radians(110),
-    ]
-    gap = np.linalg.norm(command[:, None] - command[None], axis=2)[
-        np.triu_indices(3, 1)
-    ]
-    assert gap.min() >= 1.0 - 1e-9
-    _, crowded = chosen(text(KNOWN))
-    command = np.vstack([s.reading_commands() for s in crowded.series])[:, :2] / [
-        0.32,
-        np.radians(110),
-    ]
-    assert (
-        np.linalg.norm(command[:, None] - command[None], axis=2)[
-            np.triu_indices(3, 1)
-        ].min()
-        < 1.0
-    )
+    assert nearest(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n") >= 1.0 - 1e-9
+    assert nearest(KNOWN) < 1.0
     resolved, fewer = chosen(text(KNOWN + "apart = { z_mm = 200, psi_deg = 200 }\n"))
-    assert (
-        "the study asks for 3, but the rules leave no room for more"
-        in section(resolved, fewer).words
-    )
+    words = "the study asks for 3, but the rules leave no room for more"
+    assert words in section(resolved, fewer).words
 
 
 def test_whole_circles():
-    tables = (
-        GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]")
-        + 'runs_by = "z"\n'
-    )
-    resolved, design = chosen(
-        text(KNOWN.replace("3", "2") + "whole_runs = true\n", tables=tables)
-    )
+    tables = FOUR_CIRCLES + 'runs_by = "z"\n'
+    plan = KNOWN.replace("3", "2") + "whole_runs = true\n"
+    resolved, design = chosen(text(plan, tables=tables))
     report = section(resolved, design)
     assert (report.n, report.candidates) == (8, 4)
     assert report.words.endswith(("of 4 runs.", "of 4 runs is better by D."))
     h = rows(resolved).reshape(4, 4, -1)
-    best = max(
-        itertools.combinations(range(4), 2),
-        key=lambda s: value("D", np.vstack(h[list(s)]), resolved),
-    )
+    pairs = itertools.combinations(range(4), 2)
+    best = max(pairs, key=lambda s: value("D", np.vstack(h[list(s)]), resolved))
     assert tuple(design.choice.indices) == best
-    assert [p.run for p in report.poses] == [
-        r for r in dict.fromkeys(p.run for p in report.poses) for _ in range(4)
-    ]
+    runs = [p.run for p in report.poses]
+    assert runs == [r for r in dict.fromkeys(runs) for _ in range(4)]
 
 
-RETAINED = (
-    GRID.format(name="cup")
-    .replace("candidates", "reference")
-    .replace('"cup"', '"cup"\nname = "before"')
-)
+def retained_plan(setup: str) -> str:
+    """The grid of a set-up as a reference plan."""
+    table = GRID.format(name=setup).replace("candidates", "reference")
+    return table.replace(f'"{setup}"', f'"{setup}"\nname = "before"')
+
+
+def retained_rows(resolved: ResolvedStudy) -> np.ndarray:
+    m, old = resolved.measurement, resolved.reference_plans[0].series
+    return (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
 
 
 def test_a_plan_is_added_to():
     """The best three, added to eight retained ones."""
-    tables = GRID.format(name="cup").replace("1086", "1106") + RETAINED
+    tables = GRID.format(name="cup").replace("1086", "1106") + retained_plan("cup")
     resolved, design = chosen(text(KNOWN + 'keep = "before"\n', tables=tables))
     report = section(resolved, design)
     assert (report.n, report.retained) == (11, 8)
     assert [p.run for p in report.poses] == ["1"] * 8 + ["added"] * 3
-    m, old = resolved.measurement, resolved.reference_plans[0].series
-    retained = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
-    h = rows(resolved)
-    subsets = itertools.combinations(range(8), 3)
-    best = max(value("D", np.vstack([retained, h[list(s)]]), resolved) for s in subsets)
+    h, old = rows(resolved), retained_rows(resolved)
+    subsets = (list(s) for s in itertools.combinations(range(8), 3))
+    best = max(value("D", np.vstack([old, h[s]]), resolved) for s in subsets)
     assert design.choice.value == pytest.approx(best, rel=1e-9)
     assert report.value == pytest.approx(best, rel=1e-9)
     assert "added to 8 retained readings" in report.words
@@ -141,19 +119,14 @@ def test_a_plan_is_added_to():
 
 def test_a_set_up_of_retained_readings_is_mounted_already():
     """One of two further set-ups, besides the one with retained readings."""
-    tables = GRIDS + GRID.format(name="low").replace("candidates", "reference").replace(
-        '"low"', '"low"\nname = "before"'
-    )
-    resolved, design = chosen(
-        text(KNOWN + 'setups_max = 1\nkeep = "before"\n', tables=tables, setups=THREE)
-    )
-    m, old = resolved.measurement, resolved.reference_plans[0].series
-    retained = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
-    h = rows(resolved)
-    owner = np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates])
+    plan = KNOWN + 'setups_max = 1\nkeep = "before"\n'
+    tables = GRIDS + retained_plan("low")
+    resolved, design = chosen(text(plan, tables=tables, setups=THREE))
+    h, old = rows(resolved), retained_rows(resolved)
+    owner = np.concatenate([[s.setup] * len(s) for s in resolved.candidates])
     subsets = (list(s) for s in itertools.combinations(range(len(h)), 3))
     best = max(
-        value("D", np.vstack([retained, h[s]]), resolved)
+        value("D", np.vstack([old, h[s]]), resolved)
         for s in subsets
         if not {"high", "side"} <= set(owner[s])
     )
@@ -207,16 +180,13 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel():
     _, tip, _ = resolved.measurement.kinematics.frames(free.start[:8], np.zeros(3))
     positions = np.linspace(0, 1, 2001)[:, None, None]
     bar = np.array([0, 0, 1.286]) + positions * (tip - np.array([0, 0, 1.286]))
-    crowded = (
-        np.linalg.norm(bar - np.array([0.090, 0.080, 1.180]), axis=2).min(axis=0)
-        < 0.040
-    )
+    clearance = np.linalg.norm(bar - np.array([0.090, 0.080, 1.180]), axis=2)
+    crowded = clearance.min(axis=0) < 0.040
     assert 0 < crowded.sum() < 8
     assert resolved.refusals == {"come too near an obstacle": int(crowded.sum())}
     unlikely = "\n[design.limits]\ntravel_mm = 0.001\ntravel_chance = 0.9\n"
-    with pytest.raises(
-        InputError, match=r"8 leave the travel of the instrument on too many machines"
-    ):
+    refusal = "8 leave the travel of the instrument on too many machines"
+    with pytest.raises(InputError, match=refusal):
         sample.resolved(text(KNOWN, tables=GRID.format(name="cup") + unlikely))
 
 
@@ -227,17 +197,14 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel():
     pytest.param("c", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_polished_poses_are_better_and_on_hold(criterion, tmp_path):
-    polish = (
+    table = GRID.format(name="low").replace("[1086, 1246]", "[1126, 1226]")
+    table += (
         "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"
     )
-    table = GRID.format(name="low").replace("[1086, 1246]", "[1126, 1226]")
     fields = f'criterion = "{criterion}"\n' + EXTRA + KNOWN.replace("3", "6")
-    fields = text(
-        fields, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
-    )
-    result = stages.run_study(
-        study.Study.parse(fields, Path("x.study.toml")), tmp_path, report=False
-    )
+    fields = text(fields, tables=table, setups=FREE.format(name="low", x=0, z=1126))
+    parsed = study.Study.parse(fields, Path("x.study.toml"))
+    result = stages.run_study(parsed, tmp_path, report=False)
     design = result.design
     assert design.polished.after > design.polished.before
     assert design.value == pytest.approx(design.polished.after, rel=1e-9)
@@ -245,14 +212,12 @@ def test_polished_poses_are_better_and_on_hold(criterion, tmp_path):
     assert design.plans[0].value == pytest.approx(design.value, rel=1e-8)
     assert (design.bound, design.efficiency) == (None, None)
     assert "polishing gained" in design.words
-    assert all(
-        p.reading["length_mm"] == pytest.approx(300.0, abs=1e-6) for p in design.poses
-    )
-    assert -20 <= design.polished.setups["low"]["at_x_mm"] <= 20
+    lengths = [p.reading["length_mm"] for p in design.poses]
+    assert lengths == pytest.approx([300.0] * len(lengths), abs=1e-6)
+    at = design.polished.setups["low"]["at_x_mm"]
+    assert -20 <= at <= 20
     assert any("write at_x_mm" in w for w in result.warnings)
-    assert (
-        result.setups[0].numbers["at_x_mm"] == design.polished.setups["low"]["at_x_mm"]
-    )
+    assert result.setups[0].numbers["at_x_mm"] == at
 
 
 def test_the_order_is_short_and_the_reference_comes_often_enough(tmp_path):
