@@ -114,13 +114,9 @@ def test_where_nothing_is_lost_the_page_says_so():
 # -- warnings --------------------------------------------------------------------------
 def test_the_most_harmful_warning_stands_first():
     goodness = {
-        "chi2": 900.0,
-        "dof": 10.0,
-        "p_low": 1.0,
-        "p_high": 0.0,
-        "bad_fit": True,
+        "chi2": 900.0, "dof": 10.0, "p_low": 1.0, "p_high": 0.0, "bad_fit": True,
         "findings": ["the readings do not fit the model"],
-    }
+    }  # fmt: skip
     raw = report_fixture.sample() | {"goodness": goodness}
     raw["estimate"]["warnings"] = ["a parameter lies far out"]
     ranked = list(answer.ranked_warnings(result_of(raw)))
@@ -133,24 +129,16 @@ def test_the_most_harmful_warning_stands_first():
 # -- causes ----------------------------------------------------------------------------
 def test_causes_are_ranked_by_size_with_their_unit_and_probability():
     gap = {
-        "verdict": "effect",
-        "answers": [],
-        "set95": [],
-        "where": [],
-        "closure": [],
-        "not_testable": [],
-        "confusable": [],
-        "selected": ["leg_thermal", "backlash"],
+        "verdict": "effect", "answers": [], "set95": [], "where": [], "closure": [],
+        "not_testable": [], "confusable": [], "selected": ["leg_thermal", "backlash"],
         "marginal": {"leg_thermal": 0.98, "backlash": 0.99, "friction": 0.2},
         "sizes": [
             {"effect": "leg_thermal", "rms": {"length": 2.0}, "detectability": 9.0},
             {"effect": "backlash", "rms": {"length": 5.0}, "detectability": 20.0},
         ],
-        "units": {"length": "um"},
-        "rms_before": {"length": 6.0},
-        "rms_after": {"length": 0.5},
-        "next": ["preload the screws"],
-    }
+        "units": {"length": "um"}, "rms_before": {"length": 6.0},
+        "rms_after": {"length": 0.5}, "next": ["preload the screws"],
+    }  # fmt: skip
     certain = {"leg_thermal": 0.98, "backlash": 1.0 - 1e-9}
     raw = report_fixture.bare() | {"gap": gap}
     result = result_of(raw)

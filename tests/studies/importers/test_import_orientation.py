@@ -247,7 +247,7 @@ def test_a_map_that_states_no_orientation_is_refused(change, words, tmp_path, rn
 NESTS = {"N1": [60.0, 0.0, 20.0], "N2": [-30.0, 50.0, 0.0], "N3": [-30.0, -50.0, 10.0]}
 FRAME = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
 SHIFT = np.array([3000.0, -500.0, 800.0])
-NESTS = """\
+NEST_MAP = """\
 machine = "hexapod"
 {instrument}
 [targets]
@@ -257,7 +257,7 @@ N3 = [-30, -50, 10]
 [columns]
 setup = "nest"
 """
-WITH_ANGLES = NESTS + '[orientation]\nquaternion = ["qw", "qx", "qy", "qz"]\n'
+WITH_ANGLES = NEST_MAP + '[orientation]\nquaternion = ["qw", "qx", "qy", "qz"]\n'
 COMMANDS = "x_mm,y_mm,z_mm,rx_deg,ry_deg,spin_deg"
 
 
@@ -302,7 +302,7 @@ def imported(folder: Path, text: str, *, angles: bool = False) -> oed.Study:
 
 def test_nests_share_the_frame_of_their_tracker(tmp_path):
     """Six unknowns, and not eighteen; exact points of an exact machine fit exactly."""
-    study = imported(tmp_path, NESTS.format(instrument=""))
+    study = imported(tmp_path, NEST_MAP.format(instrument=""))
     measurement = resolve(study, readings=()).measurement
     names = [n for n in measurement.names if "." in n]
     assert len(names) == 6
@@ -328,6 +328,6 @@ def test_an_orientation_that_was_not_measured_stays_out(tmp_path):
 
 
 def test_a_nest_without_a_place_is_refused(tmp_path):
-    text = NESTS.format(instrument="").replace("N3 =", "N4 =")
+    text = NEST_MAP.format(instrument="").replace("N3 =", "N4 =")
     with pytest.raises(InputError, match=r"targets = N3|targets.*N3.*no such target"):
         imported(tmp_path, text)

@@ -41,25 +41,16 @@ def _gap(
         "not_testable": ["servo_lag"],
         "confusable": [],
         "selected": [n for n in effects if n != "unknown"],
-        "tried": list(about),
-        "marginal": {},
-        "about": about,
-        "coefficients": [],
+        "tried": list(about), "marginal": {}, "about": about, "coefficients": [],
         "sizes": [
             SizeRecord(n, {"length": 12.34}, 20.0, {"length": 1.07})
             for n in effects
             if n != "unknown"
         ],
-        "noise": [],
-        "units": {"length": "um"},
-        "rms_before": {},
-        "rms_after": {},
-        "traces": [],
-        "spots": [],
-        "spots_unit": "um",
-        "words": [],
+        "noise": [], "units": {"length": "um"}, "rms_before": {}, "rms_after": {},
+        "traces": [], "spots": [], "spots_unit": "um", "words": [],
         "next": ["Look again."],
-    }
+    }  # fmt: skip
     return add_sentences(GapSection(**fields | more))
 
 

@@ -134,24 +134,19 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
     units = {name: full["unit"][name] for name in changes}
     components = {
         name: {
-            "compensatable": True,
-            "before": spread(before, units[name]),
-            "after": spread(after, units[name]),
-            "known": spread(after, units[name]),
+            "compensatable": True, "before": spread(before, units[name]),
+            "after": spread(after, units[name]), "known": spread(after, units[name]),
             "budget": {},
         }
         for name, (before, after) in changes.items()
-    }
+    }  # fmt: skip
     after = {name: end for name, (_, end) in changes.items()}
     unmodelled = {
-        "effect": "pitch_accumulation",
-        "about": "",
-        "expected": "10 um",
-        "size": after,
+        "effect": "pitch_accumulation", "about": "", "expected": "10 um", "size": after,
         "with_it": {name: 11.5 * value for name, value in after.items()},
         "far": {name: 345.0 * value for name, value in after.items()},
         "remedy": "measure each joint's travel",
-    }
+    }  # fmt: skip
     usual = {
         "effects": ["pitch_accumulation", "backlash"],
         "unmodelled": {"z": 1300.0, "psi": 240.0, "theta": 15.2},
@@ -162,18 +157,12 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
         for name, component in components.items()
     }
     line = {
-        "source": "noise of ball_bar",
-        "kind": "instrument",
-        "share": after,
+        "source": "noise of ball_bar", "kind": "instrument", "share": after,
         "size": after,
         "halved": {name: 0.5 * value for name, value in after.items()},
-    }
+    }  # fmt: skip
     raw["prediction"] = {
-        **full,
-        "mode": "plan",
-        "components": components,
-        "unit": units,
-        "map": [],
+        **full, "mode": "plan", "components": components, "unit": units, "map": [],
         "realised": None,
         "budget": {
             "predicted": after,
@@ -181,7 +170,7 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
             "unmodelled": [unmodelled],
             "usual": usual | {"components": counted},
         },
-    }
+    }  # fmt: skip
     return report_fixture.result_of(raw)
 
 
