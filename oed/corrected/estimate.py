@@ -27,7 +27,7 @@ from oed.accuracy import (
     spread_after,
 )
 from oed.base import Array, Index, Mask
-from oed.corrected.forms import ChosenForm, FormEvidence, form_evidence
+from oed.corrected.forms import ChosenForm, FormEvidence
 from oed.effect_model import State
 from oed.effects import ExpectedColumns, SessionStates
 from oed.estimation import Discrepancy, Estimate
@@ -218,8 +218,7 @@ class CorrectedEstimate:
         felt = [k for k in as_stated.members if np.linalg.norm(change[k]) > MIN_CHANGE]
         if len(felt) < MIN_RUNS:
             return None
-        evidence, residual = form_evidence(as_stated), as_stated.residual
-        search = _Search(evidence, residual, columns, turned_columns, felt)
+        search = _Search(FormEvidence(as_stated), columns, turned_columns, felt)
         turned = search.best()
         if turned.sum() > len(felt) / 2:
             turned = ~turned
@@ -441,23 +440,21 @@ class TurnedRuns:
 
 @dataclasses.dataclass(frozen=True)
 class _Search:
-    """Residual (N,) and columns (N, k) of the runs as given and turned, noise units."""
+    """Columns (N, k) of the runs as given and turned, in noise units."""
 
     evidence: FormEvidence
-    residual: Array
     as_stated: Array
     turned: Array
     runs: Sequence[Index]  #: (R,) readings of each run
 
     def value(self, turned: Mask) -> float:
         """Log evidence with some of the runs (R,) turned."""
-        return self.evidence.log_evidence(self._columns(turned), self.residual)
+        return self.evidence.log_evidence(self._columns(turned))
 
     def ratio(self, turned: Mask) -> float:
         """Residuals over the stated noise with some of the runs (R,) turned."""
-        columns = self._columns(turned)
-        unexplained = self.evidence.unexplained(columns, self.residual)
-        return float(np.sqrt(unexplained / len(self.residual)))
+        unexplained = self.evidence.unexplained(self._columns(turned))
+        return float(np.sqrt(unexplained / len(self.evidence.residual)))
 
     def _columns(self, turned: Mask) -> Array:
         columns = self.as_stated.copy()

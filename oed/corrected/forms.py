@@ -49,7 +49,7 @@ def choose_forms(
     problem: GapProblem, effects: Sequence[Effect]
 ) -> tuple[ChosenForm, ...]:
     """The forms of effects that act together; effects that change nothing are absent."""
-    evidence = form_evidence(problem)
+    evidence = FormEvidence(problem)
     chosen: dict[str, ChosenForm] = {}
     for _ in range(N_PASSES):
         for effect in effects:
@@ -78,7 +78,7 @@ def _best_form(
         if not signature.names:
             continue
         columns = problem.noise_units(signature.columns)
-        values = evidence.of_sizes(fixed, columns, problem.residual)
+        values = evidence.of_sizes(fixed, columns)
         if values.max() > best_value:
             best_value = float(values.max())
             size = float(EFFECT_SIZES.values[np.argmax(values)])
@@ -89,40 +89,41 @@ def _best_form(
     return dataclasses.replace(best, names=adapted.names, signature=adapted)
 
 
-@dataclasses.dataclass(frozen=True)
 class FormEvidence:
-    """Evidence of columns for a residual, the noise level profiled out."""
+    """Evidence of columns for the residual (N,) of a problem, under independent noise of
+    the stated ratios whose level is profiled out.
+    """
 
-    metric: Metric
+    def __init__(self, problem: GapProblem) -> None:
+        self.residual = problem.residual
+        self._metric = Metric(problem, problem.stated_law)
 
-    def log_evidence(self, columns: Array, residual: Array) -> float:
-        """Log evidence of columns (N, k) for a residual (N,), in noise units."""
-        products = self._products(columns, residual)
-        return _log_evidence(products, len(residual))
+    def log_evidence(self, columns: Array) -> float:
+        """Log evidence of columns (N, k), in noise units."""
+        return _log_evidence(self._products(columns), len(self.residual))
 
-    def of_sizes(self, fixed: Array, columns: Array, residual: Array) -> Array:
+    def of_sizes(self, fixed: Array, columns: Array) -> Array:
         """Log evidence (S,) of columns (N, k) at each size, with the size's prior.
 
         fixed  (N, f) columns that are in the model as they are
         """
-        products = self._products(np.hstack([fixed, columns]), residual)
+        products = self._products(np.hstack([fixed, columns]))
         values = []
         for size in EFFECT_SIZES.values:
             scale = np.ones(len(products))
             scale[fixed.shape[1] : -1] = size
-            values.append(
-                _log_evidence(products * np.outer(scale, scale), len(residual))
-            )
+            scaled = products * np.outer(scale, scale)
+            values.append(_log_evidence(scaled, len(self.residual)))
         return np.array(values) + EFFECT_SIZES.log_shares
 
-    def unexplained(self, columns: Array, residual: Array) -> float:
-        """Sum of squares that columns with their prior leave of a residual."""
-        return _solve(self._products(columns, residual))[1]
+    def unexplained(self, columns: Array) -> float:
+        """Sum of squares that columns with their prior leave of the residual."""
+        return _solve(self._products(columns))[1]
 
-    def _products(self, columns: Array, residual: Array) -> Array:
+    def _products(self, columns: Array) -> Array:
         """Inner products (k + 1, k + 1) of columns and residual."""
-        both = np.column_stack([columns, residual])
-        return self.metric.gram(both, both)
+        both = np.column_stack([columns, self.residual])
+        return self._metric.gram(both, both)
 
 
 def _log_evidence(products: Array, size: int) -> float:
@@ -139,11 +140,6 @@ def _solve(products: Array) -> tuple[float, float]:
     explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
     log_det = 2.0 * float(np.log(np.diag(root)).sum())
     return log_det, max(total - explained, 1e-12 * total)
-
-
-def form_evidence(problem: GapProblem) -> FormEvidence:
-    """Evidence of columns under independent noise of the stated ratios."""
-    return FormEvidence(Metric(problem, problem.stated_law))
 
 
 def groups_by_effect(forms: Sequence[ChosenForm]) -> list[Groups]:

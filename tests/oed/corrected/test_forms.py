@@ -12,8 +12,8 @@ from shipped_models import backlash
 from kernel import gap_problem
 from oed.corrected.forms import (
     SIZES,
+    FormEvidence,
     choose_forms,
-    form_evidence,
     groups_by_effect,
     updated_sizes,
 )
@@ -46,22 +46,22 @@ def problem() -> GapProblem:
 
 
 def test_evidence_is_that_of_dense_covariances(problem, rng):
-    evidence = form_evidence(problem)
+    evidence = FormEvidence(problem)
     columns = rng.standard_normal((len(problem), 4))
     expected = dense_evidence(problem, columns, problem.residual)
-    assert evidence.log_evidence(columns, problem.residual) == pytest.approx(expected)
+    assert evidence.log_evidence(columns) == pytest.approx(expected)
     fixed, sized = columns[:, :1], columns[:, 1:]
     by_size = [
         dense_evidence(problem, np.hstack([fixed, size * sized]), problem.residual)
         for size in EFFECT_SIZES.values
     ]
-    assert evidence.of_sizes(fixed, sized, problem.residual) == pytest.approx(
+    assert evidence.of_sizes(fixed, sized) == pytest.approx(
         np.array(by_size) + EFFECT_SIZES.log_shares, rel=1e-6
     )
     total = np.eye(len(problem)) + problem.slopes @ problem.slopes.T
     total += columns @ columns.T
     square = problem.residual @ np.linalg.solve(total, problem.residual)
-    assert evidence.unexplained(columns, problem.residual) == pytest.approx(square)
+    assert evidence.unexplained(columns) == pytest.approx(square)
 
 
 def test_the_form_of_highest_evidence_is_chosen(problem):
