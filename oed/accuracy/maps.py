@@ -120,30 +120,23 @@ def raw_maps_of_machines(
 
 
 def relative_to_reference(
-    twist: Array,
-    home_twist: Array,
-    model: ErrorModel,
-    home: ErrorModel,
-    reference: Reference,
-    lever: float,
+    twist: Array, rotation: Array, point: Array, reference: Reference, lever: float
 ) -> Array:
-    """Twist errors (n, 6) of one machine, relative to the reference.
+    """Twist errors (n, 6) of one machine at n poses, relative to the reference.
 
-    home_twist (1, 6) is the error at home, `lever` (m) weighs rotations in the best
-    fit. Zeroing at home composes finite rotations: a lost spin of milliradians times an
+    twist, rotation, point  (n + 1, 6), (n + 1, 3, 3), (n + 1, 3) at the poses, home the last
+    lever                   m, weighs rotations in the best fit
+
+    Zeroing at home composes finite rotations: a lost spin of milliradians times an
     orientation error would otherwise look like an error of its own.
     """
     if reference != "home":
-        columns = np.concatenate([twist, home_twist])[:, :, None]
-        rotation = np.concatenate([model.rotation, home.rotation])
-        point = np.concatenate([model.point, home.point])
-        return _relative(columns, rotation, point, reference, lever)[:, :, 0]
-    in_platform = np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
+        return _relative(twist[:, :, None], rotation, point, reference, lever)[:, :, 0]
     turn = scipy.spatial.transform.Rotation.from_rotvec
-    zero = turn(home.rotation[0].T @ home_twist[0, 3:])
-    rotation = turn(in_platform) * zero.inv()
-    in_base = np.einsum("nij,nj->ni", model.rotation, rotation.as_rotvec())
-    return np.hstack([twist[:, :3] - home_twist[:, :3], in_base])
+    in_platform = np.einsum("nji,nj->ni", rotation, twist[:, 3:])
+    relative = turn(in_platform[:-1]) * turn(in_platform[-1]).inv()
+    in_base = np.einsum("nij,nj->ni", rotation[:-1], relative.as_rotvec())
+    return np.hstack([twist[:-1, :3] - twist[-1:, :3], in_base])
 
 
 def _relative(
@@ -198,12 +191,11 @@ def components_against(
     twist  (..., n + 1, 6) pose errors of machines at commands (n, n_dof), home the last
     """
     machine = kinematics.machine
-    home = machine.with_tool(machine.home_command[None], tool)
-    model = ErrorModel.of(kinematics, command, tool)
-    at_home = ErrorModel.of(kinematics, home, tool)
-    frame = (model, at_home, reference, machine.alignment_lever)
+    x, _ = kinematics.inverse(machine.and_home(command, tool), machine.nominal, tool)
+    rotation, point, _ = kinematics.frames(x, tool)
+    frame = (rotation, point, reference, machine.alignment_lever)
     relative = [
-        relative_to_reference(of_one[:-1], of_one[-1:], *frame)
+        relative_to_reference(of_one, *frame)
         for of_one in twist.reshape(-1, len(command) + 1, 6)
     ]
     commands = np.tile(command, (len(relative), 1))

@@ -22,13 +22,13 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.accuracy import ErrorMaps, Reference, relative_to_reference
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index, Mask, consecutive_slices
 from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
 from oed.instrument import Setup
 from oed.linear_algebra import symmetric_root
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, twist_between
+from oed.mechanism import NO_TOOL, Kinematics, twist_between
 from oed.noise import Noise
 from oed.planning.prediction import PlanStage
 
@@ -325,14 +325,13 @@ class WorkspaceErrors:
 
     tolerance  (np,) of the machine's parameters, SI
     maps       jacobian of the errors over the parameters
-    model      nominal poses at the commands;  home: at the home pose
+    poses      (n + 1, n_dof) the commands, home the last, SI
     """
 
     kinematics: Kinematics
     tolerance: Array
     maps: ErrorMaps
-    model: ErrorModel
-    home: ErrorModel
+    poses: Array
     reference: Reference
 
     @classmethod
@@ -346,8 +345,7 @@ class WorkspaceErrors:
             kinematics=kinematics,
             tolerance=measurement.tolerance[: len(machine.parameters)],
             maps=ErrorMaps.of(kinematics, command, reference),
-            model=ErrorModel.of(kinematics, command),
-            home=ErrorModel.of(kinematics, machine.home_command[None]),
+            poses=machine.and_home(command, NO_TOOL),
             reference=reference,
         )
 
@@ -397,41 +395,25 @@ class WorkspaceErrors:
         )
 
     def errors(self, controller: Array, believed: Array, truth: Array) -> Array:
-        """Pose errors (m, n, K), SI, of true from believed machines."""
-        poses = self._poses(self.model, controller, believed, truth)
-        at_home = self._poses(self.home, controller, believed, truth)
+        """Pose errors (m, n, K), SI, of true from believed machines.
+
+        A lost turn at home is zeroed about the axes of the believed machine.
+        """
+        machines, n = len(truth), len(self.poses)
+        sent = np.repeat(controller, n, axis=0)
+        start, q = self.kinematics.inverse(np.tile(self.poses, (machines, 1)), sent)
+        rotation, point = self._frames(q, np.repeat(believed, n, axis=0), start)
+        true = self._frames(q, np.repeat(truth, n, axis=0), start)
+        twist = twist_between(rotation, point, *true)
         lever = self.kinematics.machine.alignment_lever
         errors = []
-        for (twist, model), (home_twist, home) in zip(poses, at_home, strict=True):
-            referenced = relative_to_reference(
-                twist, home_twist, model, home, self.reference, lever
-            )
+        for part in consecutive_slices([n] * machines):
+            frame = twist[part], rotation[part], point[part]
+            referenced = relative_to_reference(*frame, self.reference, lever)
             errors.append(
                 self.kinematics.error_components(self.maps.command, referenced)
             )
         return np.array(errors)
-
-    def _poses(
-        self, model: ErrorModel, controller: Array, believed: Array, truth: Array
-    ) -> list[tuple[Array, ErrorModel]]:
-        """For each machine, twists (n, 6) from believed to true poses, and the model at
-        believed poses.
-
-        A lost turn at home is zeroed about the axes of the believed machine.
-        """
-        machines, n = len(truth), len(model.command)
-        command = np.tile(model.command, (machines, 1))
-        start, q = self.kinematics.inverse(command, np.repeat(controller, n, axis=0))
-        rotation, point = self._frames(q, np.repeat(believed, n, axis=0), start)
-        true = self._frames(q, np.repeat(truth, n, axis=0), start)
-        twist = twist_between(rotation, point, *true)
-        return [
-            (
-                twist[part],
-                dataclasses.replace(model, rotation=rotation[part], point=point[part]),
-            )
-            for part in (slice(k * n, (k + 1) * n) for k in range(machines))
-        ]
 
     def _frames(self, q: Array, p: Array, start: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and points (n, 3) of the platform at joints q, p each."""

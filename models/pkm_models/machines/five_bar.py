@@ -11,7 +11,7 @@ workspace.
 import numpy as np
 
 from oed.model import Dimension, Family, Machine
-from pkm_models.machines.parts import cranks, families, translation
+from pkm_models.machines.parts import coordinates, cranks, families, translation
 from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "five_bar"
@@ -41,7 +41,7 @@ def build(geometry: Geometry) -> Machine:
     sd = families.tolerance(table, float(strut.max()))
     return translation.machine(
         home.tolist(),
-        translation.command(home, families.number(table, "reach")),
+        coordinates.points_about(home.tolist(), families.number(table, "reach")),
         name=NAME,
         source="Merlet 2006, Parallel Robots, 2nd ed., Springer: planar robots",
         about="five-bar linkage of any size (SCARA-like): x, y driven",

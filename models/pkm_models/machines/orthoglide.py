@@ -15,7 +15,7 @@ reach of the workspace. A guide's point along its direction is the zero of its s
 import numpy as np
 
 from oed.model import Expr, Family, Machine, Values
-from pkm_models.machines.parts import families, legs, translation
+from pkm_models.machines.parts import coordinates, families, legs, translation
 from pkm_models.machines.parts.carriages import GuidedStruts
 from pkm_models.machines.parts.families import Geometry, limb_rows
 
@@ -49,7 +49,7 @@ def build(geometry: Geometry) -> Machine:
     sd = families.tolerance(table, longest)
     return translation.machine(
         home.tolist(),
-        translation.command(home, reach),
+        coordinates.points_about(home.tolist(), reach),
         name=NAME,
         source="Wenger and Chablat 2000, Advances in Robot Kinematics, 305-314",
         about="three-axis glide of any size (3-PUU with parallelograms): x, y, z driven",

@@ -91,10 +91,6 @@ def build(geometry: Geometry) -> Machine:
     sd = families.tolerance(table, float(lengths.mean()))
     of = coordinates.TILT_DIRECTION
     turns = tuple(coordinates.angle(n, -tilt, tilt, of=of) for n in COMMAND[3:])
-    positions = [
-        coordinates.point(n, v - reach, v + reach)
-        for n, v in zip("xyz", home, strict=True)
-    ]
     return Machine(
         name=NAME,
         source="LinuxCNC, src/emc/kinematics/pentakins.c",
@@ -102,7 +98,7 @@ def build(geometry: Geometry) -> Machine:
         pose=coordinates.points()
         + tuple(coordinates.angle(n, of=of) for n in COMMAND[3:]),
         joints=families.around(lengths, change, 5, legs.LEG),
-        command=(*positions, *turns),
+        command=(*coordinates.points_about(home.tolist(), reach), *turns),
         parameters=(
             *families.places("b", base, sd, "base joint"),
             *families.numbers("h", height.tolist(), sd, "m", "height of collar"),

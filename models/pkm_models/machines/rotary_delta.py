@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.model import Dimension, Family, Machine
-from pkm_models.machines.parts import cranks, families, translation
+from pkm_models.machines.parts import coordinates, cranks, families, translation
 from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "rotary_delta"
@@ -55,7 +55,7 @@ def build(geometry: Geometry) -> Machine:
     sd = families.tolerance(table, float(lower.max()))
     return translation.machine(
         home.tolist(),
-        translation.command(home, families.number(table, "reach")),
+        coordinates.points_about(home.tolist(), families.number(table, "reach")),
         name=NAME,
         source="Clavel 1991, thesis 925, EPFL; LinuxCNC, rotarydeltakins",
         about="rotary delta of any size (3-RUU with parallelograms): x, y, z driven",

@@ -30,7 +30,14 @@ from oed.model import (
     Start,
     Values,
 )
-from pkm_models.machines.parts import families, legs, passive, six_dof, translation
+from pkm_models.machines.parts import (
+    coordinates,
+    families,
+    legs,
+    passive,
+    six_dof,
+    translation,
+)
 from pkm_models.machines.parts.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
@@ -143,7 +150,7 @@ def build(geometry: Geometry) -> Machine:
         source="Siciliano 1999, Robotica 17, 437-445: the Tricept robot",
         about="tripod with a passive leg (3-UPS + UP): x, y, z driven, the tilt follows",
         joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
-        command=translation.command(home, reach),
+        command=coordinates.points_about(home.tolist(), reach),
         parameters=(
             *limbs.parameters(),
             *passive_parameters(centre.tolist(), limbs.tolerance),

@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.model import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.machines.parts import families, legs, six_dof, translation
+from pkm_models.machines.parts import coordinates, families, legs, six_dof, translation
 from pkm_models.machines.parts.families import XYZ, Geometry
 from pkm_models.rotation import across
 
@@ -99,7 +99,7 @@ def build(geometry: Geometry) -> Machine:
         source="Lopez-Custodio and others 2020, J. Mechanisms and Robotics 12, 021109",
         about="tripod 2-UPR + SPR (Exechon): x, y, z driven, the tilt follows",
         joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
-        command=translation.command(home, reach),
+        command=coordinates.points_about(home.tolist(), reach),
         parameters=(
             *limbs.parameters(),
             *legs.hinge_parameters(),

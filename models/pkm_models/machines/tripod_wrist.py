@@ -33,7 +33,7 @@ from oed.model import (
 )
 from pkm_models.machines import tripod_passive_leg as tripod
 from pkm_models.machines.parts import coordinates, families, legs, six_dof
-from pkm_models.machines.parts.families import XYZ, Geometry, point
+from pkm_models.machines.parts.families import XYZ, Geometry
 from pkm_models.rotation import across, tilt_torsion
 
 NAME = "tripod_wrist"
@@ -152,22 +152,12 @@ def carrier(x: Values, q: Values, p: Values, wrist: Wrist) -> tuple[Expr, Expr]:
     return platform, tool - platform @ shift
 
 
-def _leg(frame: tuple[Expr, Expr], p: Values, i: int) -> tuple[Expr, Expr]:
-    rotation, origin = frame
-    return point(p, "b", i), origin + rotation @ point(p, "a", i)
-
-
-def _length(frame: tuple[Expr, Expr], p: Values, i: int) -> Expr:
-    foot, joint = _leg(frame, p, i)
-    return ca.norm_2(joint - foot) - p[f"l{i}"]
-
-
 def _closure(
     x: Values, q: Values, p: Values, wrist: Wrist, angle: float, size: float
 ) -> list[Expr]:
     """Leg lengths, and what the passive leg holds; m."""
     frame = carrier(x, q, p, wrist)
-    lengths = [_length(frame, p, i) - q[f"q{i}"] for i in LEGS]
+    lengths = [legs.length_in(frame, p, i) - q[f"q{i}"] for i in LEGS]
     return [*lengths, *tripod.held_rows(*frame, p, angle, size)]
 
 
@@ -187,7 +177,7 @@ def _guess(c: Values, p: Values, wrist: Wrist, up: float) -> Start:
         origin = tool - rotation @ shift
     spun = tilted.T @ rotation @ motion
     spin = ca.atan2(spun[1, 0], spun[0, 0])
-    lengths = [_length((rotation, origin), p, i) for i in LEGS]
+    lengths = [legs.length_in((rotation, origin), p, i) for i in LEGS]
     return [c[n] for n in COMMAND] + [spin], [*lengths, *turns]
 
 
@@ -201,11 +191,11 @@ def _tilt(axis: Expr) -> tuple[Expr, Expr]:
 def _skeleton(x: Values, q: Values, p: Values, wrist: Wrist) -> list[list[Expr]]:
     """Base, legs, platform, passive leg, wrist and tool."""
     rotation, origin = carrier(x, q, p, wrist)
-    ends = [_leg((rotation, origin), p, i) for i in LEGS]
-    feet, joints = [foot for foot, _ in ends], [joint for _, joint in ends]
+    ends = [legs.leg_in((rotation, origin), p, i) for i in LEGS]
+    feet, joints = zip(*ends, strict=True)
     fourth = origin + rotation @ wrist.axis(p, 0)[0]
     tool = six_dof.platform(x)[1]
-    outlines = [[*feet, feet[0]], *[list(end) for end in ends], [*joints, joints[0]]]
+    outlines = legs.skeleton(feet, joints, x)[:-1]
     return [*outlines, [tripod.pivot(p), fourth, tool]]
 
 
@@ -225,15 +215,11 @@ def _commands(table: Geometry) -> tuple[Coordinate, ...]:
     home, tilted = families.array(table, "home"), _home_tilt(table)
     reach, tilt = families.number(table, "reach"), families.number(table, "tilt")
     of = coordinates.TILT_DIRECTION
-    positions = [
-        coordinates.point(n, v - reach, v + reach)
-        for n, v in zip(XYZ, home, strict=True)
-    ]
     turns = [
         coordinates.angle(n, v - tilt, v + tilt, of=of)
         for n, v in zip(COMMAND[3:], tilted.tolist(), strict=True)
     ]
-    return (*positions, *turns)
+    return (*coordinates.points_about(home.tolist(), reach), *turns)
 
 
 def _home_tilt(table: Geometry) -> Array:

@@ -53,13 +53,13 @@ def test_the_published_passage(passage):
     told = predicted(ErrorMaps.of(A3, command, "home"), passage).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
-    home = ErrorModel.of(A3, A3.machine.home_command[None])
-    model = ErrorModel.of(A3, command)
-    lever = A3.machine.lever
-    pairs = [(1e-6 * model.raw[..., k], 1e-6 * home.raw[..., k]) for k in range(24)]
-    errors = [relative_to_reference(*p, model, home, "home", lever) for p in pairs]
+    model = ErrorModel.of(A3, A3.machine.and_home(command, np.zeros(3)))
+    frame = model.rotation, model.point, "home", A3.machine.lever
+    errors = [
+        relative_to_reference(1e-6 * model.raw[..., k], *frame) for k in range(24)
+    ]
     turns = 1e6 * np.stack([e[:, 3:] for e in errors], axis=-1)
-    own_axes = np.swapaxes(model.rotation, 1, 2) @ turns
+    own_axes = np.swapaxes(model.rotation[:-1], 1, 2) @ turns
     variance = np.einsum(
         "nip,pq,niq->ni", own_axes, passage[2][:24, :24], own_axes
     ).mean(axis=0)
@@ -118,19 +118,18 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 
 def test_best_fit_removes_any_rigid_motion():
     command = a3_plans.workspace()
-    model = ErrorModel.of(A3, command)
-    home = ErrorModel.of(A3, A3.machine.home_command[None])
+    model = ErrorModel.of(A3, A3.machine.and_home(command, np.zeros(3)))
     rng = np.random.default_rng(3)
     shift, turn = rng.standard_normal(3), rng.standard_normal(3)
     rigid = np.hstack(
-        [shift + np.cross(turn, model.point), np.tile(turn, (len(command), 1))]
+        [shift + np.cross(turn, model.point[:-1]), np.tile(turn, (len(command), 1))]
     )
     other = rng.standard_normal((len(command), 6))
 
     def fitted(twist: np.ndarray) -> np.ndarray:
-        return relative_to_reference(
-            twist, other[:1], model, home, "best_fit", A3.machine.lever
-        )
+        with_home = np.vstack([twist, other[:1]])
+        frame = model.rotation, model.point, "best_fit", A3.machine.lever
+        return relative_to_reference(with_home, *frame)
 
     assert np.abs(fitted(rigid)).max() < 1e-12
     assert fitted(other + rigid) == pytest.approx(fitted(other), abs=1e-12)
@@ -139,10 +138,9 @@ def test_best_fit_removes_any_rigid_motion():
     assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(
         (fitted(other) + 1e-3 * rigid) * weight
     )
-    absolute = relative_to_reference(
-        other, other[:1], model, home, "absolute", A3.machine.lever
-    )
-    assert (absolute == other).all()
+    with_home = np.vstack([other, other[:1]])
+    frame = model.rotation, model.point, "absolute", A3.machine.lever
+    assert (relative_to_reference(with_home, *frame) == other).all()
 
 
 def test_spreads_are_those_of_many_machines(passage):

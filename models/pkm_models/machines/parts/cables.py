@@ -20,12 +20,11 @@ import numpy as np
 
 from oed.base import Orientation
 from oed.model import Coordinate, Dimension, Expr, Start, Values
-from pkm_models.machines.parts import families
+from pkm_models.machines.parts import coordinates, families
 from pkm_models.machines.parts.coordinates import (
     POSE_ORIENTATION,
     angle,
     joint,
-    point,
     point_error,
     turn_error,
 )
@@ -105,7 +104,7 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
     parameters += families.numbers("scale", [0.0] * count, SCALE_SD, "1", about)
     turn = float(table["turn"])
     orientation = _orientation(turns)
-    command = [point(n, v - reach, v + reach) for n, v in zip(names, home, strict=True)]
+    command = [*coordinates.points_about(home, reach)]
     if orientation is not None:
         command += [angle(n, -turn, turn, of=orientation) for n in turns]
     errors = [point_error(n) for n in names]

@@ -3,6 +3,8 @@
 Every machine states its columns with these, so that one name means one thing.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from oed.base import Orientation
@@ -27,6 +29,12 @@ def point(name: str, lower: float = -np.inf, upper: float = np.inf) -> Coordinat
 def points(names: str = "xyz") -> tuple[Coordinate, ...]:
     """Coordinates of the tool point without ranges, m."""
     return tuple(point(name) for name in names)
+
+
+def points_about(home: Sequence[float], reach: float) -> tuple[Coordinate, ...]:
+    """Coordinates of the tool point within `reach` of home (2,) or (3,), m."""
+    pairs = zip("xyz", home, strict=False)
+    return tuple(point(name, v - reach, v + reach) for name, v in pairs)
 
 
 def angle(

@@ -37,18 +37,28 @@ def ranges_dimensions(
 
 def platform_joint(x: Values, p: Values, i: int) -> Expr:
     """Joint centre (3,) of limb i at the platform, in the base frame."""
-    rotation, origin = platform(x)
-    return origin + rotation @ point(p, "a", i)
+    return leg_in(platform(x), p, i)[1]
 
 
 def leg(x: Values, p: Values, i: int) -> Strut:
     """Ends (3,) of an extensible leg, at the base and at the platform."""
-    return point(p, "b", i), platform_joint(x, p, i)
+    return leg_in(platform(x), p, i)
+
+
+def leg_in(frame: tuple[Expr, Expr], p: Values, i: int) -> Strut:
+    """As `leg`, of a platform of this rotation and origin."""
+    rotation, origin = frame
+    return point(p, "b", i), origin + rotation @ point(p, "a", i)
 
 
 def leg_length(x: Values, p: Values, i: int) -> Expr:
     """Distance of a leg's joints less the zero of its scale, m."""
-    foot, joint = leg(x, p, i)
+    return length_in(platform(x), p, i)
+
+
+def length_in(frame: tuple[Expr, Expr], p: Values, i: int) -> Expr:
+    """As `leg_length`, of a platform of this rotation and origin."""
+    foot, joint = leg_in(frame, p, i)
     return ca.norm_2(joint - foot) - p[f"l{i}"]
 
 

@@ -26,13 +26,8 @@ COMPONENTS: tuple[Component, ...] = coordinates.point_errors() + tuple(
 
 def command(home: Sequence[float], reach: float, tilt: float) -> tuple[Coordinate, ...]:
     """Tool point within `reach` (m) of home (3,) on each axis, angles within `tilt`."""
-    return (
-        *(
-            coordinates.point(n, middle - reach, middle + reach)
-            for n, middle in zip(XYZ, home, strict=True)
-        ),
-        *(coordinates.angle(n, -tilt, tilt) for n in ANGLES),
-    )
+    turns = [coordinates.angle(n, -tilt, tilt) for n in ANGLES]
+    return (*coordinates.points_about(home, reach), *turns)
 
 
 def platform(x: Values) -> tuple[Expr, Expr]:

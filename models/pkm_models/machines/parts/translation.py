@@ -5,7 +5,6 @@ from typing import Any
 
 import casadi as ca
 
-from oed.base import Array
 from oed.model import Coordinate, Dimension, Expr, Machine, PassiveJoint, Strut, Values
 from pkm_models.machines.parts import coordinates, families, passive
 
@@ -16,14 +15,6 @@ def ranges_dimensions(home: Sequence[float], reach: float) -> tuple[Dimension, .
         Dimension("home", "m", (len(home),), tuple(home), "tool point at home"),
         Dimension("reach", "m", (), reach, "half the workspace's width about home"),
         families.tolerance_dimension(),
-    )
-
-
-def command(home: Array, reach: float) -> tuple[Coordinate, ...]:
-    """Tool point within `reach` (m) of home (2,) or (3,) along each axis."""
-    return tuple(
-        coordinates.point(name, middle - reach, middle + reach)
-        for name, middle in zip("xyz", home.tolist(), strict=False)
     )
 
 
