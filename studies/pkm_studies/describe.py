@@ -3,7 +3,7 @@
 import importlib.metadata
 import platform
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -95,10 +95,12 @@ def _moved_point(
     Of several that move alike, such as all of a platform, their mean.
     """
     still = kinematics.machine.nominal
-    before = list(_label_points(kinematics, x, q, still))
     changed = still.copy()
     changed[parameter] += PARAMETER_STEP
-    after = list(_label_points(kinematics, x, q, changed))
+    before, after = (
+        [point for line in kinematics.skeleton(x, q, p) for point in line]
+        for p in (still, changed)
+    )
     if not before:  # a machine without skeleton has no drawing
         return None
     movement = np.linalg.norm(np.array(after) - np.array(before), axis=1)
@@ -107,13 +109,6 @@ def _moved_point(
     moved = np.array(before)[movement > TAKES_PART * movement.max()]
     distinct = np.unique(np.round(moved / SAME_PLACE), axis=0) * SAME_PLACE
     return np.asarray(distinct.mean(axis=0))
-
-
-def _label_points(
-    kinematics: Kinematics, x: Array, q: Array, p: Array
-) -> Iterator[Array]:
-    for line in kinematics.skeleton(x, q, p):
-        yield from line
 
 
 #: packages on which the numbers depend

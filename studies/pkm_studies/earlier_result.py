@@ -74,7 +74,18 @@ def known_parameters(
 
     Raises InputError where not all of them were identified there.
     """
-    section = _section(stored, machine, free, folder)
+    location = Location(str(folder / "result.json")).key("estimate")
+    section = stored.final_estimate
+    if section is None:
+        raise location.error(
+            "nothing was identified there", "make it with `oed identify`"
+        )
+    remedy = f"give a result for {machine} of this study"
+    absent = [name for name in free if name not in section.parameters]
+    if absent:
+        raise location.error(f"it has no estimate of {absent[0]}", remedy)
+    if stored.machine.name != machine:
+        raise location.error(f"it is about {stored.machine.name}", remedy)
     mixture = stored.controller_mixture
     if mixture is not None and set(free) <= set(mixture.parameters):
         source = "parameters over all hypotheses of the diagnosis"
@@ -108,25 +119,6 @@ def si_estimates(
     covariance = np.array(section.covariance)[np.ix_(indices, indices)]
     values = factors * [row.value for row in rows]
     return values, covariance * np.outer(factors, factors)
-
-
-def _section(
-    stored: StudyResult, machine: str, free: Sequence[str], folder: Path
-) -> Estimated:
-    """The estimate of a stored result, all of the free parameters in it."""
-    location = Location(str(folder / "result.json")).key("estimate")
-    section = stored.final_estimate
-    if section is None:
-        raise location.error(
-            "nothing was identified there", "make it with `oed identify`"
-        )
-    remedy = f"give a result for {machine} of this study"
-    absent = [name for name in free if name not in section.parameters]
-    if absent:
-        raise location.error(f"it has no estimate of {absent[0]}", remedy)
-    if stored.machine.name != machine:
-        raise location.error(f"it is about {stored.machine.name}", remedy)
-    return section
 
 
 def read_draws(path: Path, free: list[str]) -> Array | None:

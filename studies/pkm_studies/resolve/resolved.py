@@ -217,7 +217,16 @@ def _setup(
         remedy = "list the repeated runs in the grids"
         raise location.key("repeats").error(problem, remedy, table.repeats)
     setup = dataclasses.replace(setup, protocol=protocol, station=table.station or "")
-    _check_teach_pose(kinematics, setup, location)
+    if setup.teach is None:
+        return setup
+    # a teach pose may lie outside the workspace, but the machine must reach it
+    field, command = location.key("teach"), np.array([setup.teach])
+    try:
+        series = Measurement(machine, [setup], kinematics).series(setup.name, command)
+    except AssemblyError as error:
+        problem = reach_problem(error, machine)
+        raise field.error(problem, "give a pose the machine can reach") from error
+    check_joint_range(machine, series.command, series.q, field)
     return setup
 
 
@@ -293,21 +302,6 @@ def _teach(
                 "missing", f"give every coordinate: {example}"
             )
     return [values[c.name] for c in machine.command]
-
-
-def _check_teach_pose(kinematics: Kinematics, setup: Setup, location: Location) -> None:
-    """A teach pose may lie outside the workspace, but the machine must reach it."""
-    if setup.teach is None:
-        return
-    location = location.key("teach")
-    machine = kinematics.machine
-    command = np.array([setup.teach])
-    try:
-        series = Measurement(machine, [setup], kinematics).series(setup.name, command)
-    except AssemblyError as error:
-        problem = reach_problem(error, machine)
-        raise location.error(problem, "give a pose the machine can reach") from error
-    check_joint_range(machine, series.command, series.q, location)
 
 
 # What the controller holds already: [machine] controller, from a result or a file.

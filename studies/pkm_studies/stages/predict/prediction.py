@@ -195,14 +195,26 @@ def budget_section(
             **{n: _fine_values(budget.names, v, fine) for n, v in sizes.items()},
         )
         unmodelled.append(line)
+    shown, usual = driven or fine, None
+    if expected is not None:  # the machine with all effects, fitted beside the geometry
+        prediction = expected.prediction
+        records = component_accuracies(machine, prediction, {})
+        unfitted = np.sqrt(after**2 + expected.added.mean(axis=0))
+        errors = dict(zip(prediction.names, unfitted, strict=True))
+        usual = UsualEffects(
+            effects=[effect.effect.name for effect in expected.effects],
+            unmodelled={n: units.number(errors[n], unit) for n, unit in shown.items()},
+            fitted={name: records[name].known.rms for name in shown},
+            components=records,
+        )
     geometry = _fine_values(budget.names, after, fine)
     unmodelled.sort(key=lambda line: error_ratio(line.without, geometry, driven))
     return BudgetSection(
         predicted=dict(predicted),
         lines=lines,
         unmodelled=unmodelled,
-        usual=_usual(machine, expected, after, driven or fine),
-        advice=advice_on(lines, predicted, driven or fine),
+        usual=usual,
+        advice=advice_on(lines, predicted, shown),
         no_axes={n: v for n, v in geometry.items() if n not in driven},
     )
 
@@ -231,31 +243,6 @@ def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
         size=_fine_values(names, size, fine),
         without=without,
         halved=halved,
-    )
-
-
-def _usual(
-    machine: Machine,
-    expected: ExpectedEffects | None,
-    after: Array,
-    shown: Mapping[str, str],
-) -> UsualEffects | None:
-    """The machine with all effects; None where none are expected.
-
-    after  (k,) rms error of each component with geometry alone, SI
-    shown  {component: fine unit} of those that compensation corrects
-    """
-    if expected is None:
-        return None
-    prediction = expected.prediction
-    unmodelled = np.sqrt(after**2 + expected.added.mean(axis=0))
-    values = dict(zip(prediction.names, unmodelled, strict=True))
-    records = component_accuracies(machine, prediction, {})
-    return UsualEffects(
-        effects=[effect.effect.name for effect in expected.effects],
-        unmodelled={n: units.number(values[n], unit) for n, unit in shown.items()},
-        fitted={name: records[name].known.rms for name in shown},
-        components=records,
     )
 
 
