@@ -1,7 +1,8 @@
-"""What holds on Windows: no POSIX-only name, terminals without Unicode, paths."""
+"""What holds on Windows: no POSIX-only name, terminals, paths; streams of random numbers."""
 
 import ast
 import errno
+import itertools
 import json
 import os
 import re
@@ -11,12 +12,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sample
 from few_poses import PLAN
 
+import pkm_studies
 from pkm_studies import catalogue, console, files
-from pkm_studies.base import InputError, Location
+from pkm_studies.base import InputError, Location, Stream
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 
@@ -153,3 +156,29 @@ def test_a_machine_is_found_on_a_drive(tmp_path):
     """The colon of C: does not end the name of a module."""
     with pytest.raises(InputError, match="does not lie in the folder of the study"):
         catalogue.machine("C:\\machines\\mine.py", Origin(tmp_path), Location("study"))
+
+
+def test_no_two_streams_have_the_same_numbers():
+    """Every name is a member: one that repeats a number would be an alias of another."""
+    assert [*Stream.__members__] == [stream.name for stream in Stream]
+    first = {name: Stream[name].rng(1).random() for name in Stream.__members__}
+    assert len(set(first.values())) == len(first)
+
+
+def test_streams_of_stages_and_sizes_are_no_streams_of_the_study():
+    """NumPy pads keys with zeros, and a size of readings is as small as a stream."""
+    keys = [tuple(stream.key(5)) for stream in Stream]
+    keys += [(*Stream.PLAN.key(5), 1 + stage) for stage in range(4)]
+    keys += [(*Stream.HOW_MANY.key(5), size) for size in range(1, 40)]
+    states = [tuple(np.random.SeedSequence(k).generate_state(4)) for k in keys]
+    for (one, a), (other, b) in itertools.combinations(
+        zip(keys, states, strict=True), 2
+    ):
+        assert a != b, (one, other)
+
+
+def test_the_study_s_seed_is_used_through_a_stream_alone():
+    folder = Path(pkm_studies.__file__).parents[1]
+    plain = re.compile(r"default_rng\([\w.]*(study|result)\.seed\)|int\(Stream\.")
+    for path in sorted(folder.rglob("*.py")):
+        assert not plain.search(path.read_text(encoding="utf-8")), path
