@@ -119,6 +119,23 @@ def test_the_table_brings_a_hundredth(planned, capsys):
     page = (out / "report.html").read_text()
     assert "Left out: how far each node is from what all other nodes predict" in page
     check_sent(out / "forecast_table.csv", 7)
+    # the table goes into the controller's file
+    assert run("compensate", out, "--to", "csv") == 0
+    said = "Errors measured at nodes (oed forecast) are part of the table."
+    assert said in capsys.readouterr().out
+    command = PLACES[:400]
+    before = 1e6 * Machine().errors(command)
+    after = 1e6 * Machine(added=table(out / "compensation.csv")).errors(command)
+    assert np.sqrt(np.mean(before**2)) > 25.0
+    assert np.abs(after).max() < 10.0
+    check_sent(out / "compensation.csv", 37)
+    assert run("compensate", out, "--to", "json") == 0
+    columns = json.loads((out / "compensation.json").read_text())["table"]
+    first = [float(r["correction_q1_mm"]) for r in rows(out / "compensation.csv")]
+    assert columns["correction_q1_mm"] == pytest.approx(first, abs=1e-6)
+    capsys.readouterr()
+    run("compensate", out, "--to", "c")
+    assert "are not in this file" in capsys.readouterr().out
 
 
 def test_a_wrong_reading_is_named_and_stated_noise_counts(planned, capsys):
@@ -367,27 +384,6 @@ def table(path: Path) -> Callable[[Array], Array]:
     values = np.array([[float(r[name]) for name in names] for r in read])
     grid = RegularGridInterpolator((y, z), values.reshape(len(y), len(z), 2))
     return lambda command: 1e-3 * grid(1e3 * command)
-
-
-def test_the_table_goes_into_the_controllers_file(planned_nodes, tmp_path, oed):
-    measured(tmp_path, oed, Machine(), planned_nodes)
-    out = tmp_path / "out"
-    code, said, error = oed("compensate", out, "--to", "csv")
-    assert code == 0, error
-    assert "Errors measured at nodes (oed forecast) are part of the table." in said
-    added = table(out / "compensation.csv")
-    command = PLACES[:400]
-    before = 1e6 * Machine().errors(command)
-    after = 1e6 * Machine(added=added).errors(command)
-    assert np.sqrt(np.mean(before**2)) > 25.0
-    assert np.abs(after).max() < 10.0
-    check_sent(out / "compensation.csv", 37)
-    assert oed("compensate", out, "--to", "json")[0] == 0
-    columns = json.loads((out / "compensation.json").read_text())["table"]
-    first = [float(r["correction_q1_mm"]) for r in rows(out / "compensation.csv")]
-    assert columns["correction_q1_mm"] == pytest.approx(first, abs=1e-6)
-    code, said, _ = oed("compensate", out, "--to", "c")
-    assert "are not in this file" in said
 
 
 @pytest.mark.slow

@@ -102,7 +102,8 @@ def test_a_study_with_quotas_runs_end_to_end(tmp_path):
     file = tmp_path / "quota.study.toml"
     tables = GRID.format(name="cup") + HIGH + "max = 1\n"
     file.write_text(text(KNOWN, tables=tables), encoding="utf-8")
-    design = stages.run_study(study.Study.load(file), out=tmp_path / "out").design
+    loaded = study.Study.load(file)
+    design = stages.run_study(loaded, tmp_path / "out", report=False).design
     above = [pose for pose in design.poses if pose.command["z_mm"] > 1200.0]
     assert len(design.poses) == 3
     assert len(above) <= 1
@@ -189,8 +190,8 @@ def test_a_study_with_weights_runs(solver, tmp_path):
     path = tmp_path / "weights.study.toml"
     fields = f'criterion = "D"\nmethod = "relaxed"\nsolver = "{solver}"\n'
     path.write_text(text(fields + KNOWN))
-    result = stages.run_study(study.Study.load(path), tmp_path / "out")
-    design = result.design
+    loaded = study.Study.load(path)
+    design = stages.run_study(loaded, tmp_path / "out", report=False).design
     assert design.relaxed.weights
     assert design.n == 3
     assert "largest of the relaxation's weights" in design.words
