@@ -4,8 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from reference import tian_2016 as paper
+from shipped_models import a3_head, ball_bar
 
-from kernel import a3_plans, bar_circles, budget_machines
+from kernel import a3_plans, bar_circles
 from oed import identifiability
 from oed.accuracy import BudgetModel, ErrorMaps, budget, variance_over_machines
 from oed.accuracy.budget import (
@@ -19,14 +21,34 @@ from oed.accuracy.budget import (
     mean_variance,
 )
 from oed.accuracy.maps import maps_by_reference
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters, reading_structure
 from oed.noise import Laws, ReadingStructure, SharedError
 from oed.noise_law import NoisePrior
 
+SIGMA, CUP_TOLERANCE = 0.5e-6, 20e-6
+SHARED = 2.0  #: error of a run, over the noise of single readings
+STROKES = (0.04, 0.08, 0.12, 0.16, 0.20)
+POINTS = 12
+
+
+def measured() -> tuple[Measurement, Series]:
+    """Five circles, their levels errors of their runs."""
+    channel = dataclasses.replace(ball_bar.CHANNEL, sigma=SIGMA, shared=SHARED)
+    instrument = dataclasses.replace(ball_bar.instrument, channels=(channel,))
+    tolerances = {f"cup_{n}": CUP_TOLERANCE for n in "xyz"}
+    teach = (paper.TEACH_Z, 0.0, 0.0)
+    setup = mount(instrument, "cup", teach=teach, tolerances=tolerances)
+    m = Measurement(a3_head.machine, [setup])
+    psi = np.tile(2 * np.pi * np.arange(POINTS) / POINTS, len(STROKES))
+    commands = a3_plans.bar_commands(m, np.repeat(STROKES, POINTS), psi)
+    runs = [f"{1e3 * s:.0f}" for s in np.repeat(STROKES, POINTS)]
+    return m, m.series("cup", commands, runs)
+
 
 @pytest.fixture(scope="module")
 def plan() -> tuple[Measurement, Series]:
-    return budget_machines.measured()
+    return measured()
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +145,10 @@ def realised(model, maps, errors, known):
 def test_without_a_source_ridge_estimates_are_as_good_as_stated(source, model, maps):
     rng, count = np.random.default_rng(3), 6000
     single = rng.standard_normal((count, len(model.slopes)))
-    level = rng.standard_normal((count, 5)).repeat(budget_machines.POINTS, axis=1)
+    level = rng.standard_normal((count, 5)).repeat(POINTS, axis=1)
     lines = {line.source: line for line in model.budget(maps).lines}
     size = {"noise": 0.5, "run": 1.0}.get(source, 1.0)
-    shared = 0.0 if source == "run" else budget_machines.SHARED
+    shared = 0.0 if source == "run" else SHARED
     errors = size * single + shared * level
     wanted = {
         "all": np.sqrt(model.budget(maps).variance),

@@ -4,18 +4,32 @@ import dataclasses
 import math
 import re
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import sample
-from dataset_files import loaded, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from oed import csv_text, dataset
 from oed.dataset import Dataset, ReadingsError, table
 from oed.measurement import Measurement
+
+
+def loaded(text: str, measurement: Measurement, folder: Path) -> Dataset:
+    path = folder / "x.readings.csv"
+    path.write_text(text, encoding="utf-8")
+    return dataset.load(path, measurement)
+
+
+def refused(text: str | bytes, measurement: Measurement, folder: Path) -> ReadingsError:
+    path = folder / "x.readings.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ReadingsError) as error:
+        dataset.load(path, measurement)
+    return error.value
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,13 @@
-"""A leg whose conversion is wrong: named, called implausible, and estimated unbent."""
+"""A leg whose conversion is wrong: named, called implausible, and estimated."""
 
+import dataclasses
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import leg_scale
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from shipped_models import encoder_scale
 
 from kernel.laws import STATED_LAW
@@ -18,9 +21,174 @@ from pkm_studies import study as studies
 from pkm_studies.resolve import resolved
 from pkm_studies.stages.correct.corrected import implausible_sizes
 
+POSES, LENGTH, ANGLE = 45, 0.05, np.radians(0.01)  # mm, rad
+#: from where leg 1 counts, mm, and the spread of the geometry about its drawing, mm
+MIDDLE, SPREAD = 700.0, 3.0
+STUDY = """schema = 1
+name = "leg_scale"
+[machine]
+model = "hexapod_ups"
+[machine.geometry]
+base_mm = {base}
+platform_mm = {platform}
+home_mm = [0, 0, 700]
+reach_mm = 150
+tilt_deg = 20
+tolerance_mm = 3
+[[setup]]
+name = "t"
+instrument = "pose_tracker"
+tolerance = {{ shift_x_mm = 0.0, shift_y_mm = 0.0, shift_z_mm = 0.0, turn_x_deg = 0.0, \
+turn_y_deg = 0.0, turn_z_deg = 0.0 }}
+[noise]
+read_x_um = 50
+read_y_um = 50
+read_z_um = 50
+read_alpha_deg = 0.01
+read_beta_deg = 0.01
+read_gamma_deg = 0.01
+[posterior]
+enabled = false
+[gap]
+effects = {effects}
+[report]
+html = false
+pdf = false
+[readings]
+files = ["readings.csv"]
+[prediction]
+reference = "absolute"
+x_mm = [-80, 80]
+y_mm = 0
+z_mm = 700
+rx_deg = 0
+ry_deg = 0
+spin_deg = 0
+"""
+COLUMNS = (
+    "setup,run,order,q1_mm,q2_mm,q3_mm,q4_mm,q5_mm,q6_mm,read_x_mm,read_y_mm,read_z_mm,"
+    "read_alpha_deg,read_beta_deg,read_gamma_deg"
+)
+
+
+def _ring(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
+    angle = np.radians(degrees)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle])
+
+
+BASE = _ring(400.0, (-15.0, 15.0, 105.0, 135.0, 225.0, 255.0))
+PLATFORM = _ring(220.0, (-45.0, 45.0, 75.0, 165.0, 195.0, 285.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Readings:
+    """Joints (n, 6), mm, as the controller believes, and poses (n, 6) read, mm and rad."""
+
+    joints: np.ndarray
+    poses: np.ndarray
+
+
+def leg_lengths(x: np.ndarray, base: np.ndarray, platform: np.ndarray) -> np.ndarray:
+    """Lengths (n, 6) at poses (n, 6): position, then angles about x, y', z''."""
+    rotation = Rotation.from_euler("XYZ", x[:, 3:]).as_matrix()
+    tips = x[:, None, :3] + np.einsum("nij,kj->nki", rotation, platform)
+    return np.linalg.norm(tips - base, axis=2)
+
+
+def _geometry(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Base, platform and zeros of a machine, mm."""
+    base, platform = (v + rng.normal(0.0, 1.0, v.shape) for v in (BASE, PLATFORM))
+    return base, platform, rng.normal(0.0, 1.0, 6)
+
+
+def reached(
+    x: np.ndarray, sent: Mapping[str, float], scale: float, seed: int = 5
+) -> np.ndarray:
+    """Poses (n, 6) of the machine of `readings` at commands x (n, 6).
+
+    sent  parameters of the controller, mm
+    """
+    base, platform, zeros = _geometry(np.random.default_rng(seed))
+    places = [
+        np.array(
+            [[sent[f"{part}{leg}{axis}"] for axis in "xyz"] for leg in range(1, 7)]
+        )
+        for part in "ba"
+    ]
+    joints = leg_lengths(x, *places) - [sent[f"l{leg}"] for leg in range(1, 7)]
+    joints[:, 0] = MIDDLE + (joints[:, 0] - MIDDLE) * (1.0 + scale)
+
+    def miss(pose: np.ndarray, driven: np.ndarray) -> np.ndarray:
+        return leg_lengths(pose[None], base, platform)[0] - zeros - driven
+
+    pairs = zip(x, joints, strict=True)
+    return np.array([least_squares(miss, at, args=(q,)).x for at, q in pairs])
+
+
+def readings(scale: float, seed: int = 5) -> Readings:
+    """Readings of a machine whose leg 1 goes `scale` too far."""
+    rng = np.random.default_rng(seed)
+    base, platform, zeros = _geometry(rng)
+    place = rng.uniform(-120.0, 120.0, (POSES, 3)) + np.array([0.0, 0.0, 700.0])
+    x = np.hstack([place, np.radians(rng.uniform(-10.0, 10.0, (POSES, 3)))])
+    joints = leg_lengths(x, base, platform) - zeros
+    joints[:, 0] = MIDDLE + (joints[:, 0] - MIDDLE) / (1.0 + scale)
+    noise = rng.standard_normal((POSES, 6)) * np.repeat([LENGTH, ANGLE], 3)
+    return Readings(joints, x + noise)
+
+
+def write(
+    folder: Path,
+    read: Readings,
+    effects: str = '["all"]',
+    setup_of: Callable[[int], str] = lambda _: "t",
+) -> Path:
+    """The study of these readings in a folder; its path.
+
+    setup_of  set-up of a reading by its number
+    """
+    rows = [COLUMNS]
+    for k, (q, x) in enumerate(zip(read.joints, read.poses, strict=True), 1):
+        values = [*q, *x[:3], *np.degrees(x[3:])]
+        rows.append(f"{setup_of(k)},1,{k}," + ",".join(f"{v:.6f}" for v in values))
+    (folder / "readings.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    study = folder / "leg_scale.study.toml"
+    base, platform = (np.round(v, 6).tolist() for v in (BASE, PLATFORM))
+    text = STUDY.format(base=base, platform=platform, effects=effects)
+    study.write_text(text, encoding="utf-8")
+    return study
+
+
+def least_squares_scale(read: Readings) -> tuple[float, float]:
+    """Scale of leg 1, and its sd, with geometry and zeros free about the drawing.
+
+    Each leg of each pose is an equation, with the noise of the pose carried to it.
+    """
+    step = 1e-4
+    plain = leg_lengths(read.poses, BASE, PLATFORM)
+    slopes = [
+        (leg_lengths(read.poses + step * axis, BASE, PLATFORM) - plain) / step
+        for axis in np.eye(6)
+    ]
+    by_axis = np.stack(slopes, axis=2) * np.repeat([LENGTH, ANGLE], 3)
+    roots = np.linalg.cholesky(by_axis @ np.swapaxes(by_axis, 1, 2))
+
+    def residual(v: np.ndarray) -> np.ndarray:
+        base, platform = BASE + v[:18].reshape(6, 3), PLATFORM + v[18:36].reshape(6, 3)
+        driven = read.joints.copy()
+        driven[:, 0] = MIDDLE + (driven[:, 0] - MIDDLE) * (1.0 + v[42])
+        off = leg_lengths(read.poses, base, platform) - v[36:42] - driven
+        white = np.linalg.solve(roots, off[:, :, None])
+        return np.concatenate([white.ravel(), v[:42] / SPREAD])
+
+    sizes = np.append(np.ones(42), 0.01)
+    fit = least_squares(residual, np.zeros(43), x_scale=sizes)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    return float(fit.x[42]), float(np.sqrt(covariance[42, 42]))
+
 
 def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
-    study = leg_scale.write(folder, leg_scale.readings(scale))
+    study = write(folder, readings(scale))
     machine = resolved.resolve(studies.Study.load(study), readings=None)
     measurement = machine.measurement_with(machine.setups)
     assert machine.dataset is not None
@@ -37,7 +205,7 @@ def test_the_joint_estimate_is_that_of_least_squares(tmp_path):
     start = corrected.parameters
     values = corrected.estimate.theta[start:] * corrected.scales
     sds = corrected.estimate.sd[start:] * corrected.scales
-    wanted, sd = leg_scale.least_squares_scale(leg_scale.readings(scale))
+    wanted, sd = least_squares_scale(readings(scale))
     assert abs(wanted - scale) < 3.0 * sd
     assert abs(values[0] - wanted) < 2.0 * sd
     assert sds[0] == pytest.approx(sd, rel=0.3)

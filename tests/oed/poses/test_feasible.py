@@ -9,13 +9,19 @@ import pytest
 from oracles import a3_geometry as a3
 from oracles import planar_geometry as planar
 from scipy.optimize import minimize
-from shipped_models import a3_head, calliper, height_probe, planar_2dof, relative
+from shipped_models import (
+    a3_head,
+    ball_bar,
+    calliper,
+    height_probe,
+    planar_2dof,
+    relative,
+)
 
 from kernel import a3_plans
-from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement import Measurement, Series
 from oed.poses import ReadingLimits
 from oed.poses.feasible import (
     Capsule,
@@ -27,6 +33,35 @@ from oed.poses.feasible import (
     segment_distance,
     sphere,
 )
+
+CUP = np.array([0.1, 0.2, -0.4])
+
+
+LENGTH = 0.9
+
+
+def bar(length: float = LENGTH) -> Measurement:
+    """A bar from a cup set by hand to the platform of the planar machine."""
+    at = dict(zip(("at_x", "at_y", "at_z"), CUP, strict=True))
+    return Measurement(
+        planar_2dof.machine, [mount(ball_bar.free_cup, "bar", length=length, **at)]
+    )
+
+
+def places(rng: np.random.Generator, n: int = 200) -> np.ndarray:
+    return rng.uniform([-1.5, 0.0], [1.5, 1.5], (n, 2))
+
+
+def tips(command: np.ndarray) -> np.ndarray:
+    """Tool points (n, 3) of the planar machine."""
+    return np.column_stack([np.zeros(len(command)), command])
+
+
+def planar_series(
+    rng: np.random.Generator, n: int = 200
+) -> tuple[Measurement, np.ndarray, Series]:
+    m, command = bar(), places(rng, n)
+    return m, command, m.series("bar", command)
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng):
