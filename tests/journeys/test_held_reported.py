@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kernel.printer_bed import SIGMA, bed, heights
+from kernel.delta_probe import SIGMA, bed, heights
 from pkm_studies.commands import main
 
 STUDY = """

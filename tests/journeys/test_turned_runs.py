@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from bad_fit_sample import STUDY
 
-from kernel import a3_plans, warm_head
+from kernel import a3_machines, a3_plans
 from pkm_studies.commands import main
 
 ONE_SETUP = STUDY.partition('[[setup]]\nname = "long_tool"')
@@ -16,11 +16,11 @@ def write(folder: Path, runs: list[str]) -> tuple[Path, Path]:
     """Study and readings of an A3 head with play; some runs' rows are turned."""
     m = a3_plans.measurement()
     rng = np.random.default_rng(26)
-    series, rows = warm_head.planned(m)
+    series, rows = a3_machines.planned(m)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
-    y = warm_head.read(series, rows, truth, rng)
+    y = a3_machines.read(series, rows, truth, rng)
     z, psi, theta = series.reading_commands().T
-    table = warm_head.turned(rows, runs).drop(columns=["temp_leg1", "temp_leg3"])
+    table = a3_machines.turned(rows, runs).drop(columns=["temp_leg1", "temp_leg3"])
     table = table.rename(columns={"time": "time_s", "temp_leg2": "temp_leg2_C"})
     table["z_mm"], table["psi_deg"] = 1e3 * z, np.rad2deg(psi)
     table["theta_deg"], table["length_mm"] = np.rad2deg(theta), 1e3 * y

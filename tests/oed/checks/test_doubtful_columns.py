@@ -6,7 +6,7 @@ import blunder_machines as machines
 import numpy as np
 import pytest
 from blunder_spatial import prs_poses
-from blunder_table_forms import interpolated, two_digits_exchanged
+from blunder_table import interpolated, two_digits_exchanged
 
 from oed.checks import check, copies
 from oed.checks.explain import candidates

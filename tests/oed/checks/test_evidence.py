@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate, stats
 from shipped_models import a3_head, ball_bar
 
-from kernel.dense_noise import dense_covariance
+from kernel.laws import dense_covariance
 from oed import checks
 from oed.base import Array
 from oed.checks import outlier_odds, screening

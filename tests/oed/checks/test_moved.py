@@ -11,8 +11,8 @@ import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head
 
-from kernel import a3_plans, warm_head
-from kernel.warm_head import turned
+from kernel import a3_machines, a3_plans
+from kernel.a3_machines import turned
 from oed import checks
 from oed.checks.mistakes import Suspect
 from oed.checks.mistakes.joints import _likely_stops, likely_orders
@@ -193,7 +193,7 @@ def directed_session(m, series, rows):
 @pytest.fixture(scope="module")
 def planned() -> tuple[Measurement, Series, pd.DataFrame]:
     m = a3_plans.measurement()
-    return (m, *warm_head.planned(m))
+    return (m, *a3_machines.planned(m))
 
 
 def test_order_and_direction_go_together(planned):

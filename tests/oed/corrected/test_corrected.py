@@ -8,8 +8,8 @@ from oracles import a3_geometry as a3
 from scipy.interpolate import RegularGridInterpolator
 from shipped_models import backlash, leg_thermal
 
-from kernel import a3_plans, corrected_cases, corrected_machines, warm_head
-from kernel.warm_head import (
+from kernel import a3_machines, a3_plans, corrected_cases, corrected_machines
+from kernel.a3_machines import (
     NOISE,
     PER_KELVIN,
     PLAY,
@@ -226,9 +226,9 @@ EFFECTS = [leg_thermal.effect, backlash.effect]
 def corrected(seed: int, runs: list[str]) -> CorrectedEstimate:
     m = a3_plans.measurement()
     rng = np.random.default_rng([seed, 26])
-    series, rows = warm_head.planned(m)
+    series, rows = a3_machines.planned(m)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
-    y = warm_head.read(series, rows, truth, rng)
+    y = a3_machines.read(series, rows, truth, rng)
     theta = identify(m, [series], y).theta
     given = EffectReadings(m, (series,), y, turned(rows, runs))
     estimate = given.estimate(EFFECTS, theta, estimate_noise=False)

@@ -19,7 +19,7 @@ from shipped_models import (
 )
 
 from kernel import a3_plans
-from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
+from kernel.a3_machines import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import Measurement, compensate, mount
 from oed.accuracy import BudgetModel, ErrorMaps, Prediction, driven_errors
 from oed.effect_model import Column, Effect, State

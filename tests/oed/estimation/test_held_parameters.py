@@ -16,7 +16,7 @@ from shipped_models import (
     pose_tracker,
 )
 
-from kernel.printer_bed import ARM, SIGMA, bed, heights
+from kernel.delta_probe import ARM, SIGMA, bed, heights
 from oed import Measurement, mount
 from oed.estimation import Estimate, contradicted_parameters, identify
 from oed.measurement import draw_parameters, draw_readings

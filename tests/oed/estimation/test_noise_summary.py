@@ -22,7 +22,7 @@ from shipped_models import (
 )
 
 from kernel import a3_plans, bar_circles
-from kernel.dense_noise import dense_covariance
+from kernel.laws import dense_covariance
 from oed import Measurement, mount
 from oed.estimation import (
     identify,

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from kernel import gap_problem as case
-from kernel.dense_noise import noise_covariance, residual_covariance
 from kernel.gap_lines import BOW, EFFECTS, planted, readings, search_of, white_lines
-from kernel.laws import STATED_LAW
+from kernel.laws import STATED_LAW, noise_covariance, residual_covariance
 from oed.effect_model import Column, Effect, State
 from oed.gap.cause.compare import compare, compare_expanded
 from oed.gap.cause.search import Search

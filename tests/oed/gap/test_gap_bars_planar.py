@@ -9,7 +9,7 @@ from effects_sample import NAMES, effect_of
 from scipy import stats
 from shipped_models import planar_2dof, relative
 
-from kernel.dense_noise import residual_covariance
+from kernel.laws import residual_covariance
 from oed.gap.data import state as states_of
 from oed.gap.data.problem import assemble, exact_readings, prepare
 from oed.gap.procedure import diagnose

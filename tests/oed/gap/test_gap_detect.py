@@ -8,9 +8,8 @@ import pytest
 from scipy import stats
 
 from kernel import a3_plans, gap_a3
-from kernel.dense_noise import residual_covariance
 from kernel.gap_a3 import noise_columns
-from kernel.laws import STATED_LAW, noise_law
+from kernel.laws import STATED_LAW, noise_law, residual_covariance
 from oed.gap.before import choose, detect
 from oed.gap.before.detect import RIVAL_SD, combination_words, needed_lambda
 

@@ -5,14 +5,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import special, stats
 
-from kernel.dense_noise import (
+from kernel.gap_lines import white_lines
+from kernel.laws import (
+    STATED_LAW,
     draw_noise,
     law_covariance,
     noise_covariance,
+    noise_law,
     residual_covariance,
 )
-from kernel.gap_lines import white_lines
-from kernel.laws import STATED_LAW, noise_law
 from oed.gap.data import evidence
 from oed.gap.data import problem as problems
 from oed.gap.data.columns import Block

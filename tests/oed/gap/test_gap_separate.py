@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans, gap_a3
-from kernel.dense_noise import residual_covariance
-from kernel.laws import STATED_LAW, noise_law
+from kernel.laws import STATED_LAW, noise_law, residual_covariance
 from oed import design
 from oed.design import Rules
 from oed.gap.before import choose

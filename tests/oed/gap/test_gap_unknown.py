@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from kernel import gap_problem
-from kernel.gap_lines import EFFECTS, readings, search_of
-from kernel.gap_unknown import orthogonal_sum, smooth, some, terms
+from kernel.gap_lines import (
+    EFFECTS,
+    orthogonal_sum,
+    readings,
+    search_of,
+    smooth,
+    some,
+    terms,
+)
 from kernel.laws import STATED_LAW
 from oed.effect_model import State
 from oed.gap.cause.compare import compare

@@ -8,10 +8,8 @@ import pytest
 from msgspec.structs import replace
 from scipy import stats
 
-from kernel.dense_noise import noise_covariance
-from kernel.gap_lines import BOW, EFFECTS, planted, readings, search_of
-from kernel.gap_unknown import smooth
-from kernel.laws import STATED_LAW
+from kernel.gap_lines import BOW, EFFECTS, planted, readings, search_of, smooth
+from kernel.laws import STATED_LAW, noise_covariance
 from oed.gap import diagnose
 from oed.gap.cause import closure, withheld
 from oed.gap.cause.compare import probabilities, without_implausible

@@ -9,9 +9,8 @@ from scipy import integrate, stats
 from shipped_models import backlash, encoder_scale, friction, planar_2dof, pose_tracker
 
 from kernel import gap_lines
-from kernel.dense_noise import draw_noise
 from kernel.gap_lines import readings, white_lines
-from kernel.laws import STATED_LAW, noise_law
+from kernel.laws import STATED_LAW, draw_noise, noise_law
 from oed import Measurement, mount
 from oed.effect_model import UNKNOWN_SIZES
 from oed.gap import GapProblem, diagnose, prepare

@@ -10,7 +10,7 @@ from oracles import a3_geometry as a3
 from shipped_models import a3_head, ball_bar, camera, delta, laser_ball_bar, prs_spindle
 
 from kernel import a3_plans, bar_circles
-from kernel.dense_noise import dense_covariance
+from kernel.laws import dense_covariance
 from oed.accuracy.budget import COURSE, errors_of_readings
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series, reading_structure

@@ -7,7 +7,7 @@ import pytest
 from shipped_models import laser_ball_bar, prs_spindle
 
 from kernel import bar_circles
-from kernel.dense_noise import dense_covariance
+from kernel.laws import dense_covariance
 from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
 from oed.noise import Laws, ReadingStructure

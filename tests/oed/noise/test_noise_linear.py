@@ -9,9 +9,8 @@ from numpy.testing import assert_allclose
 from scipy import linalg, sparse
 
 from kernel import gap_problem as case
-from kernel.dense_noise import law_covariance
 from kernel.gap_lines import readings
-from kernel.laws import noise_law
+from kernel.laws import law_covariance, noise_law
 from oed.base import Array
 from oed.gap import GapProblem
 from oed.gap.data import evidence

@@ -10,8 +10,7 @@ from reference import tian_2016 as paper
 from scipy import linalg, stats
 
 from kernel import a3_plans
-from kernel.dense_noise import dense_covariance, law_covariance
-from kernel.laws import noise_law
+from kernel.laws import dense_covariance, law_covariance, noise_law
 from oed.accuracy import BudgetModel
 from oed.design import Candidates
 from oed.estimation import identify

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import report_fixture
-import report_fixture_view
+import result_sample
 from report_fixture import result_of
 
 from oed.base import Array
@@ -28,7 +28,7 @@ SERIOUS = {"serious", "critical"}
 @pytest.fixture(scope="module")
 def result() -> StudyResult:
     """A head with a plan, a fit, an error map, and a diagnosis with circles."""
-    return result_of(report_fixture_view.sample())
+    return result_of(result_sample.with_places())
 
 
 @pytest.fixture(scope="module")
