@@ -54,37 +54,29 @@ def test_mean_interval_is_students():
 
 # -- measures --------------------------------------------------------------------------
 CLEAR = {
-    "effect": "backlash",
-    "listed": True,
-    "classes": ["backlash", "friction"],
-    "outside": 7.0,
-    "out_of_span": 3.0,
+    "effect": "backlash", "listed": True, "classes": ["backlash", "friction"],
+    "outside": 7.0, "out_of_span": 3.0,
     "where": {"legs": [2], "runs": [3], "time_s": [[100.0, 200.0]]},
-}
+}  # fmt: skip
 PUMP = {**CLEAR, "effect": "pump", "listed": False, "classes": None, "out_of_span": 8.0}
 EXPECTED = {"C": 0.8, "gain": 50.0}
 
 
 def label(kind: str, *effects: dict[str, Any], total: float = 10.0) -> dict[str, Any]:
     return {
-        "machine": "a3",
-        "kind": kind,
-        "law": {"law": "white"},
-        "effects": list(effects),
-        "sqrt_lambda_total": total,
+        "machine": "a3", "kind": kind, "law": {"law": "white"},
+        "effects": list(effects), "sqrt_lambda_total": total,
         "closure": {"within": EXPECTED, "whole": EXPECTED},
-    }
+    }  # fmt: skip
 
 
 def result(verdict: str, *names: str, where: str = "leg 2") -> dict[str, Any]:
     answer = {"effects": list(names), "probability": 0.93}
     return {
-        "verdict": verdict,
-        "answers": [answer],
-        "set95": [answer],
+        "verdict": verdict, "answers": [answer], "set95": [answer],
         "where": [{"block": where}],
         "closure": [{"split": "within", "value": 0.4}],
-    }
+    }  # fmt: skip
 
 
 def measures(*scored: judge.Scored) -> dict[str, tuple[float, int]]:

@@ -45,16 +45,10 @@ def campaign(tmp_path: Path) -> Path:
 def run(path: Path, out: Path, *options: str) -> int:
     return main(
         [
-            "campaign",
-            str(path),
-            "--out",
-            str(out),
-            "--workers",
-            "1",
-            "--quiet",
+            "campaign", str(path), "--out", str(out), "--workers", "1", "--quiet",
             *options,
         ]
-    )
+    )  # fmt: skip
 
 
 def assert_refused(

@@ -374,18 +374,14 @@ def _pentapod(geometry: Geometry, x: Array, q: Array) -> Verdict:
 
 
 FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
-    "delta": (delta, _delta),
-    "hexapod_ups": (hexapod_ups, _legs),
-    "hexapod_pus": (hexapod_pus, _sliders),
-    "tripod_rps": (tripod_rps, _rps),
+    "delta": (delta, _delta), "hexapod_ups": (hexapod_ups, _legs),
+    "hexapod_pus": (hexapod_pus, _sliders), "tripod_rps": (tripod_rps, _rps),
     "tripod_prs": (tripod_prs, _prs),
     "tripod_passive_leg": (tripod_passive_leg, passive_leg),
     "tripod_upr_spr": (tripod_upr_spr, _upr_spr),
     "cables_planar": (cables_planar, _cables),
     "cables_spatial": (cables_spatial, _cables),
     "rotary_delta": (rotary_delta, _rotary_delta),
-    "hexapod_rus": (hexapod_rus, _hexapod_rus),
-    "five_bar": (five_bar, _five_bar),
-    "orthoglide": (orthoglide, _orthoglide),
-    "pentapod": (pentapod, _pentapod),
-}
+    "hexapod_rus": (hexapod_rus, _hexapod_rus), "five_bar": (five_bar, _five_bar),
+    "orthoglide": (orthoglide, _orthoglide), "pentapod": (pentapod, _pentapod),
+}  # fmt: skip

@@ -50,15 +50,9 @@ NAMES = {
 
 FRAME = {
     "a3_head": ("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),
-    "linear_delta": ("angle3",),
-    "micro_cmm": (),
-    "hexapod": (),
-    "hexaglide": (),
-    "cable_robot": (),
-    "planar_2dof": (),
-    "prs_spindle": (),
-    "prs_spindle_struts": (),
-}
+    "linear_delta": ("angle3",), "micro_cmm": (), "hexapod": (), "hexaglide": (),
+    "cable_robot": (), "planar_2dof": (), "prs_spindle": (), "prs_spindle_struts": (),
+}  # fmt: skip
 
 REGISTRATION = ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z")
 
@@ -74,20 +68,10 @@ NUISANCES = {
     "seat": ("seat_x", "seat_y", "seat_z"),
     "touch_plane": ("offset", "tilt_u", "tilt_v"),
     "home_orientation": ("zero_x", "zero_y", "zero_z"),
-    "level": ("zero_x", "zero_y"),
-    "autocollimator": ("zero_x", "zero_y"),
-    "camera": REGISTRATION,
-    "camera_known_frame": (),
-    "ball_plate": REGISTRATION,
-    "ball_distance": ("scale",),
-    "redundancy": (),
-    "rm1": (),
-    "rm2": (),
-    "rm3": ("tilt",),
-    "rm4": ("tilt",),
-    "rm5": ("tilt",),
-    "laser_ball_bar": REGISTRATION,
-    "laser_ball_bar_position": REGISTRATION,
-    "pose_tracker": REGISTRATION,
-    "pose_tracker_position": REGISTRATION,
-}
+    "level": ("zero_x", "zero_y"), "autocollimator": ("zero_x", "zero_y"),
+    "camera": REGISTRATION, "camera_known_frame": (), "ball_plate": REGISTRATION,
+    "ball_distance": ("scale",), "redundancy": (), "rm1": (), "rm2": (),
+    "rm3": ("tilt",), "rm4": ("tilt",), "rm5": ("tilt",),
+    "laser_ball_bar": REGISTRATION, "laser_ball_bar_position": REGISTRATION,
+    "pose_tracker": REGISTRATION, "pose_tracker_position": REGISTRATION,
+}  # fmt: skip

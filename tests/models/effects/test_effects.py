@@ -29,19 +29,12 @@ from pkm_studies.user_code import Origin
 
 #: effects that only cables have, and those that they cannot have
 OF_CABLES = {
-    "cable_stretch",
-    "cable_sag",
-    "post_compliance",
-    "pulley_radius",
-    "drum_runout",
-}
+    "cable_stretch", "cable_sag", "post_compliance", "pulley_radius", "drum_runout",
+}  # fmt: skip
 NEVER_OF_CABLES = {
-    "screw_cyclic",
-    "encoder_subdivision",
-    "joint_runout",
-    "joint_clearance",
+    "screw_cyclic", "encoder_subdivision", "joint_runout", "joint_clearance",
     "pitch_accumulation",
-}
+}  # fmt: skip
 
 
 def fits(machine: str, name: str) -> bool:

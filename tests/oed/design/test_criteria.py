@@ -49,12 +49,8 @@ def test_observability_indices_of_a_diagonal():
     """Singular values 8, 4, 1 and 9 readings, worked by hand."""
     s = np.array([8.0, 4.0, 1.0])
     wanted = {
-        "O1": 32 ** (1 / 3) / 3,
-        "O2": 1 / 8,
-        "O3": 1.0,
-        "O4": 1 / 8,
-        "O5": 8 / 11,
-    }
+        "O1": 32 ** (1 / 3) / 3, "O2": 1 / 8, "O3": 1.0, "O4": 1 / 8, "O5": 8 / 11,
+    }  # fmt: skip
     assert CRITERIA.observability(s, 9) == pytest.approx(wanted)
     assert CRITERIA.index("kappa", s) == 8.0
     assert CRITERIA.index("kappa", s) * CRITERIA.index("O2", s) == 1.0

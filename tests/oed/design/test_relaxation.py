@@ -129,24 +129,17 @@ def criteria(n: int, rng: np.random.Generator) -> list[Criterion]:
     """All that have a conic form, for n columns."""
     interest, factors = rng.standard_normal((n, 2)), rng.standard_normal((4, 2, n))
     return [
-        Determinant(n),
-        Determinant(n, interest, "Ds"),
-        Variance(np.eye(n), "A"),
-        Variance(factors[0, :1], "c"),
-        Variance(factors[0], "I"),
-        LargestVariance(factors),
-        ExtremeEigenvalues(),
-        ExtremeEigenvalues(0.5, name="O3"),
-        ExtremeEigenvalues(0.5, 0.5, name="kappa"),
-        PowerMean(0.5, n, "O5"),
-        PowerMean(1.0, n),
-        PowerMean(2.0, n),
+        Determinant(n), Determinant(n, interest, "Ds"), Variance(np.eye(n), "A"),
+        Variance(factors[0, :1], "c"), Variance(factors[0], "I"),
+        LargestVariance(factors), ExtremeEigenvalues(),
+        ExtremeEigenvalues(0.5, name="O3"), ExtremeEigenvalues(0.5, 0.5, name="kappa"),
+        PowerMean(0.5, n, "O5"), PowerMean(1.0, n), PowerMean(2.0, n),
         PowerMean(8.0, n),
         Compound(
             (Determinant(n), Variance(np.eye(n)), ExtremeEigenvalues()), (0.2, 0.3, 0.5)
         ),
         Compound((PowerMean(0.5, n), LargestVariance(factors)), (0.6, 0.4)),
-    ]
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(15))

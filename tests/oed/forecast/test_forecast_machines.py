@@ -114,13 +114,10 @@ def test_the_oracle_is_the_machine(name: str, rng: np.random.Generator) -> None:
     assert change == pytest.approx(expected, rel=0.02, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "planar",
-        *(pytest.param(k, marks=pytest.mark.slow) for k in ("delta", "a3", "prs")),
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "planar",
+    *(pytest.param(k, marks=pytest.mark.slow) for k in ("delta", "a3", "prs")),
+])  # fmt: skip
 def test_what_is_left_is_as_predicted(name: str) -> None:
     left = ratio(name, range(2))
     assert np.sqrt(np.mean(left**2)) < FACTOR

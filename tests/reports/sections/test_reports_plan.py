@@ -29,15 +29,9 @@ NULLABLE_OF_STAGE = [
     "chosen", "end_min", "lost", "cut_off_um", "rank", "realised_lost", "coverage",
 ]  # fmt: skip
 NEEDED_OF_STAGE = {
-    "measurement",
-    "setups",
-    "readings",
-    "identifies",
-    "cost",
-    "kappa",
-    "predicted",
+    "measurement", "setups", "readings", "identifies", "cost", "kappa", "predicted",
     "begin_min",
-}
+}  # fmt: skip
 OPTIONAL_OF_STAGE = sorted(
     set(report_fixture_plan.plan()["stages"][0]) - NEEDED_OF_STAGE
 )

@@ -122,16 +122,13 @@ def test_a_study_is_built_from_tables():
             "design": {
                 "reference": [
                     {
-                        "name": "lines",
-                        "setup": "rm4",
-                        "runs_by": "y",
-                        "y_mm": [-1500.0, 0.0, 1500.0],
-                        "z_mm": [0.0, 300.0, 600.0],
+                        "name": "lines", "setup": "rm4", "runs_by": "y",
+                        "y_mm": [-1500.0, 0.0, 1500.0], "z_mm": [0.0, 300.0, 600.0],
                     }
                 ]
             },
         }
-    )
+    )  # fmt: skip
     estimate = oed.identify(oed.simulate(study))
     assert estimate.section.readings == 6
     assert 'model = "planar_2dof"' in study.text
@@ -302,9 +299,7 @@ VIRTUAL = {
     "design": {
         "reference": [
             {
-                "name": "lines",
-                "setup": "rm4",
-                "runs_by": "y",
+                "name": "lines", "setup": "rm4", "runs_by": "y",
                 "y_mm": [-1500.0, 0.0, 1500.0],
                 "z_mm": {"from": 0.0, "to": 1500.0, "count": 7},
             }
@@ -317,7 +312,7 @@ VIRTUAL = {
             {"effect": "encoder_scale", "size": 1.5, "coefficients": {"leg 1": 1.0}}
         ]
     },
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
