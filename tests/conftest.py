@@ -39,7 +39,7 @@ gc.set_threshold(100_000, 20, 50)
 
 #: shipped studies that run by night, and what runs the same by day
 NIGHTLY_STUDIES = {
-    "a3_adjust": "tests/studies/sessions/test_adjust.py",
+    "a3_adjust": "tests/studies/sessions/test_sessions_command.py",
     "a3_forecast": "studies/planar_forecast.study.toml",
     "a3_home_orientation": "tests/models/machines/test_a3_bars.py",
     "a3_test_circles": "tests/studies/stages/test_run_curves.py",
@@ -47,7 +47,7 @@ NIGHTLY_STUDIES = {
     "delta_v400_reverse": "tests/models/machines/test_delta_real.py",
     "micro_cmm_self": "studies/micro_cmm.study.toml",
     "planar_plan": "tests/studies/stages/test_study_plan.py",
-    "prs_adjust": "tests/studies/sessions/test_adjust.py",
+    "prs_adjust": "tests/studies/sessions/test_sessions_command.py",
     "prs_laser_ball_bar": "studies/prs_paper_model.study.toml",
 }
 

@@ -1,7 +1,9 @@
-"""The board of real machines: one entry runs, and its baselines are those published."""
+"""Boards of real machines and long traces: baselines, memory and answers."""
 
 import pytest
 
+from benchmarks.harness.processes import alone
+from benchmarks.long_traces import diagnose_once
 from benchmarks.real_data import ENTRIES, STUDIES, line, run
 from pkm_studies.plugins import project_plugins
 from pkm_studies.study.data_sources import jugglebot
@@ -47,3 +49,15 @@ def test_quaternions_become_the_angles_of_the_tracker(shared_data):
         assert read == pytest.approx(angles, abs=1e-9)
     # 1.6767652 revolutions at 13.21144 a metre, from the design's lowest height
     assert float(rows[0]["q1_mm"]) == pytest.approx(640.1966 + 126.9176, abs=1e-3)
+
+
+MOST = 2048.0  #: most memory of a process, MiB, with Python and all libraries
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("readings", [5000, 20000])
+@pytest.mark.parametrize(("gap", "answer"), [(True, "backlash"), (False, "no gap")])
+def test_a_diagnosis_of_long_traces_fits_into_memory(readings, gap, answer):
+    diagnosed = alone(diagnose_once, readings, gap)
+    assert diagnosed.memory < MOST
+    assert diagnosed.answer.startswith(answer)

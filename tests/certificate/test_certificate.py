@@ -12,7 +12,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import report_fixture
 from lxml import etree
+from result_sample import whole
 from scipy import stats
 
 from oed.acceptance import measured_rms_within
@@ -330,3 +332,11 @@ def test_a_virtual_machine_gets_none(folder, oed):
     state(folder)
     code, _, error = oed("certificate", folder)
     assert (code, "simulated" in error) == (2, True)
+
+
+def test_without_a_correction_the_accuracy_is_over_all_answers():
+    """As the acceptance test promises it: the compensation sent holds no effects."""
+    result = report_fixture.result_of(whole())
+    sent_alone = msgspec.structs.replace(result, corrected=None)
+    assert build.OVER_ANSWERS in build.conditions(sent_alone)
+    assert build.OVER_ANSWERS not in build.conditions(result)

@@ -118,7 +118,7 @@ ANGLES: dict[str, dict[str, Reading]] = {
         "read_tilt_y": lambda r: math.atan2(r[0, 2], r[2, 2]),
     },
 }
-#: read the closure, not the pose: see test_redundancy.py
+#: read the closure, not the pose: see test_constraints.py
 OF_CLOSURE = ("redundancy", "redundancy_per_leg")
 
 
