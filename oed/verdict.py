@@ -24,6 +24,8 @@ SCOPE_WORDS: Final = {
     "mixture": "averaged over the possible causes",
     "corrected": "with the effects that are corrected",
 }
+#: the same where the controller corrects the geometry and no effect
+NOT_CORRECTED: Final = "with the effects acting, not corrected"
 GEOMETRY_ALONE: Final = "geometry alone"
 WITH_USUAL_EFFECTS: Final = "with usual effects at their expected sizes"
 
@@ -76,6 +78,8 @@ def accuracy_verdicts(
         return {}
     components, counted = section.judged_components, section.with_usual_effects
     scope = SCOPE_WORDS.get(section.mode, GEOMETRY_ALONE)
+    if geometry_sent and section.mode == "corrected":
+        scope = NOT_CORRECTED
     added = added or {}
     objection = _objection(result)
     verdicts = {}

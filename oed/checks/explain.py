@@ -266,6 +266,9 @@ MIN_LOG_ODDS = 10.0
 NAMED_SHARE = 0.007
 #: misfit over the noise that may remain where a mistake explains readings
 MAX_EXPLAINED_RATIO = 3.0
+#: share of the mean square beyond the noise that undoing it must take away: a mistake
+#: that explains less leaves most of the misfit to another cause
+MIN_EXPLAINED_SHARE = 0.5
 #: the largest probability that is stated: no evidence is certain
 MAX_PROBABILITY = 0.9999
 MIN_MISFIT = 1e-9  #: misfit over the noise that is none
@@ -381,11 +384,13 @@ def _improves(one: Explanation, count: int) -> bool:
 
 
 def _explains(one: Explanation) -> bool:
-    """Whether a mistake leaves no misfit, or less than half its orders of magnitude."""
+    """Whether a mistake leaves little misfit, and less than half of what was there."""
     before = one.before if np.isfinite(one.before) else 100.0
-    return bool(
-        np.isnan(one.after) or one.after <= max(MAX_EXPLAINED_RATIO, np.sqrt(before))
-    )
+    if np.isnan(one.after):
+        return True
+    beyond_noise = max(before**2 - 1.0, 0.0)
+    is_most = before**2 - one.after**2 >= MIN_EXPLAINED_SHARE * beyond_noise
+    return bool(is_most and one.after <= max(MAX_EXPLAINED_RATIO, np.sqrt(before)))
 
 
 def _sample(session: SessionReadings) -> SessionReadings:

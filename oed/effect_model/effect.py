@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base import Array
+from oed.base import Array, Index
 from oed.model import Machine
 
 #: coefficient in expected sizes that no machine has, whatever it is of
@@ -131,6 +131,18 @@ class State:
 
     def __len__(self) -> int:
         return len(self.pose)
+
+    def take(self, rows: Index) -> "State":
+        """The state at some of its poses, by number, in this order."""
+        whole = ("session_times", "joint_range", "home")
+        values = {
+            f.name: getattr(self, f.name)
+            for f in dataclasses.fields(self)
+            if f.name not in whole
+        }
+        arrays = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray)}
+        temperature = {body: v[rows] for body, v in self.temperature.items()}
+        return dataclasses.replace(self, **arrays, temperature=temperature)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -106,11 +106,15 @@ class SessionStates:
 
         Joints are those of a controller that knows `theta`: where an effect is
         periodic, a correction of some tenths of a millimetre shifts its phase. The
-        machine moves from command to command, or stands (`still`), no faster than in
-        the session.
+        machine moves from command to command in a drawn order, or stands (`still`), no
+        faster than in the session: along the rows of a grid, its joints would arrive
+        from one side, and a reference would take their backlash for a shift.
         """
         measurement, first = self.measurement, self.states[0]
-        poses = measurement.machine.and_home(command, tool)
+        order = np.arange(len(command) + 1)
+        if not still:
+            rng.shuffle(order[:-1])
+        poses = measurement.machine.and_home(command, tool)[order]
         sent = theta[: len(measurement.machine.parameters)]
         x, q = measurement.kinematics.inverse(poses, sent, tool)
         index = np.arange(len(poses))[:, None]
@@ -129,7 +133,7 @@ class SessionStates:
         )
         if "feed" not in self.used:
             state = _slowed(state, self.states)
-        return session_state(state, first)
+        return session_state(state.take(np.argsort(order)), first)
 
 
 def _slowed(state: State, recorded: Sequence[State]) -> State:

@@ -66,7 +66,7 @@ def _head(c: Certificate) -> Facts:
         ("Temperature", _temperature(head.temperature)),
         ("Issued", head.issued),
         ("Instruments", "; ".join(_instruments(c))),
-        ("Readings", f"{c.readings} of {'; '.join(c.setups)}"),
+        ("Readings", f"{c.readings} values of {'; '.join(c.setups)}"),
         ("Responsible", "; ".join(_joined([p.name, p.role]) for p in head.person)),
     ]
     return Facts([(term, phrase) for term, phrase in rows if phrase])

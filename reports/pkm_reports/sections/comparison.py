@@ -26,7 +26,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
 )
-from pkm_reports.sections.answer import wanted_accuracy
+from pkm_reports.sections.answer import REFERENCES, wanted_accuracy
 from pkm_reports.sections.gap import explanation_row
 from pkm_reports.sections.machine_figures import draw_overview
 from pkm_reports.sections.measure import is_plan, used_setups
@@ -88,6 +88,18 @@ def _ranks(results: Results) -> Iterator[str]:
 def _best(results: Results) -> Iterator[str]:
     """For each component which result is the most accurate, and by how much."""
     uncorrected = _uncorrected(results)
+    references = {
+        label: text.meaning(section.reference, REFERENCES)
+        for label, result in results.items()
+        if (section := result.judged_prediction) is not None
+    }
+    if len(set(references.values())) > 1:
+        listed = [f"{label} {phrase}" for label, phrase in references.items()]
+        yield (
+            f"Errors have different references: {text.listing(listed)}; so their sizes"
+            " say nothing about which result is better."
+        )
+        return
     for name, sizes in rms_by_component(results).items():
         if len(sizes) < 2:
             continue

@@ -130,12 +130,19 @@ def _time(result: StudyResult) -> str:
     return f"{time}." if time else ""
 
 
+def _has_planned_readings(result: StudyResult) -> bool:
+    """Whether the readings are those of the design: to be taken, or as many recorded."""
+    design = result.design
+    if design is None or is_plan(result):
+        return design is not None
+    return recorded_readings(result)[0] in (0, len(design.poses))
+
+
 def _number_of_readings(result: StudyResult) -> str:
     design, forecast = result.design, result.forecast
-    if design is not None and design.candidates:
-        return f"{design.n}, chosen from {design.candidates} candidates."
-    if design is not None:
-        return f"{design.n}."
+    if design is not None and _has_planned_readings(result):
+        chosen = f", chosen from {design.candidates} candidates"
+        return f"{design.n}{chosen if design.candidates else ''}."
     if forecast is not None and forecast.readings:
         return f"{forecast.readings}, one a node."
     if has_schedule(result.plan) or result.estimate is None:
@@ -166,8 +173,10 @@ def _list_of_readings(result: StudyResult) -> str:
 
 def _working_order(result: StudyResult) -> list[Block]:
     """The readings to take, in their order; of many, the first."""
-    poses = [] if result.design is None else result.design.poses
-    shown = poses[:MAX_READINGS]
+    design = result.design
+    if design is None or not _has_planned_readings(result):
+        return []
+    poses, shown = design.poses, design.poses[:MAX_READINGS]
     commands = text.aligned_columns([pose.command for pose in shown])
     if not commands:
         return []

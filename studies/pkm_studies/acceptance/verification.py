@@ -149,18 +149,23 @@ def check_sentences(check: RunCheck) -> Iterator[str]:
             largest = float(error.max())
             unit = curve.unit
     if count:
+        runs = len({(curve.setup, curve.run) for curve in check.curves})
         yield (
-            f"{inside} of {count} readings along {len(check.curves)} runs lie inside their"
+            f"{inside} of {count} values read along {runs} runs lie inside their"
             f" 95 % interval; the largest difference from the prediction is {largest:.3g}"
             f" {unit}."
         )
     verdict = "agree with" if check.passed else "contradict"
     yield (
-        f"The {check.readings} readings after compensation {verdict} their prediction"
+        f"The {check.readings} values read after compensation {verdict} their prediction"
         f" (p {format_p_value(check.p_high)})."
     )
     if not check.passed:
-        yield "Effects beside the parameters are at work: run `oed diagnose`."
+        yield (
+            "Either the controller does not use this compensation, or the machine changed,"
+            " or effects beside the parameters act: check the first two, then run"
+            " `oed diagnose`."
+        )
 
 
 # Plans an acceptance test from a result: poses, limits and power.

@@ -55,6 +55,16 @@ def test_a_plan_says_what_how_long_and_how_accurate():
     )
 
 
+def test_readings_that_no_design_chose_are_counted_alone():
+    raw = report_fixture.sample()
+    raw["prediction"]["mode"] = "corrected"
+    raw["drawing"]["tool_points"] = [[0.0, 0.0, 0.1]] * 98
+    words = _words(result_of(raw))["measure"]
+    assert "Readings 98" in words
+    assert "chosen from" not in words
+    assert "in their order" not in words
+
+
 def test_a_bare_result_promises_nothing():
     words = _words(result_of(report_fixture.bare()))
     assert list(words) == ["measure", "warnings"]
@@ -216,6 +226,14 @@ def test_differences_come_first_and_name_the_better():
     assert "21 in one and 22 in two" in words
     assert "theta" not in words  # which both reach alike
     assert content(results, ()).answer[0].anchor == "differences"
+
+
+def test_errors_of_other_references_are_not_compared(results):
+    prediction = replace(results["two"].prediction, reference="absolute")
+    results["two"] = replace(results["two"], prediction=prediction)
+    words = _plain(side_by_side.sentences(results))
+    assert "Errors have different references: one" in words
+    assert "times as good" not in words
 
 
 def test_equal_results_have_no_differences(results):
