@@ -18,7 +18,7 @@ import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from oed import posterior
 from oed.base import Array, Index
@@ -113,23 +113,19 @@ class AnswerMixture:
     def draw(self, rng: np.random.Generator, count: int = N_DRAWS) -> "MixtureDraws":
         """Draws of the machine: answers in their shares, each with its effects."""
         taken = self.rows(rng, count)
-        counts = np.array([len(rows) for rows in taken])
-        theta = [a.theta[rows] for a, rows in zip(self.answers, taken, strict=True)]
-        acting = [
-            (k, a.columns) for k, a in enumerate(self.answers) if a.columns is not None
-        ]
-        widths = [columns.mixing.shape[1] for _, columns in acting]
-        ends = np.concatenate([[0], np.cumsum(widths)]).astype(int)
-        coefficients = np.zeros((count, ends[-1]))
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        for number, (k, _) in enumerate(acting):
-            rows = slice(starts[k], starts[k + 1])
-            block = slice(ends[number], ends[number + 1])
-            coefficients[rows, block] = self.answers[k].coefficients[taken[k]]
+        pairs = list(zip(self.answers, taken, strict=True))
+        acting = [a.columns for a in self.answers if a.columns is not None]
+        # in a draw of one answer the effects of all others are 0
+        coefficients = linalg.block_diag(
+            *(
+                np.zeros((len(rows), 0)) if a.columns is None else a.coefficients[rows]
+                for a, rows in pairs
+            )
+        )
         return MixtureDraws(
-            np.vstack(theta),
-            np.repeat(np.arange(len(self.answers)), counts),
-            ExpectedColumns.side_by_side([columns for _, columns in acting]),
+            np.vstack([a.theta[rows] for a, rows in pairs]),
+            np.repeat(np.arange(len(taken)), [len(rows) for rows in taken]),
+            ExpectedColumns.side_by_side(acting),
             coefficients,
         )
 
