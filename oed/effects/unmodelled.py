@@ -24,7 +24,7 @@ import numpy as np
 
 from oed import units
 from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference, predict
-from oed.base import Array, Mask
+from oed.base import Array, Index, Mask
 from oed.effect_model import Effect, State
 from oed.effects.effect_maps import SessionStates, absorbing_shift, effect_maps
 from oed.gap import ActingEffectForm, GapProblem, untestable
@@ -115,20 +115,24 @@ class ExpectedEffects:
             ).raw
             for state in states
         )
-        by_effect = _errors_by_effect(model, maps, forms, judged, absorbed)
+        changes = np.hstack([form.changes for form in forms])
+        by_effect = _errors_by_effect(
+            forms, judged - maps.raw @ model.response(changes)
+        )
         if not by_effect:
             return None
         # An effect has one set of constants: its coefficients at several share its variance.
         added = sum(np.mean([f.variance for f in some], axis=0) for some in by_effect)
-        shared = [(f, len(some) ** -0.5) for some in by_effect for f in some]
-        changes = np.hstack([share * f.form.changes for f, share in shared])
-        tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
-        absorbed = np.concatenate([share * f.absorbed for f, share in shared], axis=2)
+        used = np.concatenate([f.columns for some in by_effect for f in some])
+        widths = [[len(f.columns) for f in some] for some in by_effect]
+        share = np.repeat([len(of) ** -0.5 for of in widths], list(map(sum, widths)))
+        changes, tool, absorbed = (
+            share * values[..., used] for values in (changes, judged, absorbed)
+        )
         tolerance = session.measurement.tolerance[: len(machine.parameters)]
         shift = absorbing_shift(maps, absorbed, tolerance)
         joint = _joint_maps(model, maps, tool, shift)
         information = _joint_information(model, changes)
-        widths = [[f.tool.shape[2] for f in some] for some in by_effect]
         owner = np.repeat(
             np.arange(-1, len(by_effect)), [len(model.names), *map(sum, widths)]
         )
@@ -153,35 +157,24 @@ class _Form:
 
 
 class _FormErrors(NamedTuple):
-    """A form, what it does to the tool, and the variance (n, k) of the errors.
-
-    The errors are those of the compensated machine.
-    """
+    """A form, and what it makes of the compensated machine."""
 
     form: _Form
-    tool: Array  #: (n, k, m) in the states that are judged
-    absorbed: Array  #: (n, k, m) in those for which the parameters sent take it up
-    variance: Array
+    columns: Index  #: (m,) its coefficients, by number among those of all forms
+    variance: Array  #: (n, k) of the errors
 
 
-def _errors_by_effect(
-    model: BudgetModel,
-    maps: ErrorMaps,
-    forms: Sequence[_Form],
-    tool: Array,
-    absorbed: Array,
-) -> list[list[_FormErrors]]:
-    """The forms of each effect that makes errors, from maps (n, k, m) of all forms."""
-    changes = np.hstack([form.changes for form in forms])
-    errors = tool - maps.raw @ model.response(changes)
-    ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]
-    parts = (np.split(values, ends, axis=2) for values in (tool, absorbed, errors))
+def _errors_by_effect(forms: Sequence[_Form], errors: Array) -> list[list[_FormErrors]]:
+    """The forms of each effect that makes errors, of those (n, k, m) by all coefficients."""
+    ends = np.cumsum([form.changes.shape[1] for form in forms])
+    parts = np.split(np.arange(ends[-1]), ends[:-1])
     acting: dict[str, list[_FormErrors]] = {}
-    for form, at_tool, taken_up, error in zip(forms, *parts, strict=True):
+    for form, columns in zip(forms, parts, strict=True):
+        error = errors[:, :, columns]
         if np.isfinite(error).all() and error.any():
             variance = np.sum(error**2, axis=2)
             of_effect = acting.setdefault(form.acting.effect.name, [])
-            of_effect.append(_FormErrors(form, at_tool, taken_up, variance))
+            of_effect.append(_FormErrors(form, columns, variance))
     return list(acting.values())
 
 
