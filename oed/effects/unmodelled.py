@@ -107,13 +107,11 @@ class ExpectedEffects:
         if not forms:
             return None
         acting_forms = [form.acting for form in forms]
-        kinematics, command = session.measurement.kinematics, maps.command
+        kinematics = session.measurement.kinematics
         parameters = problem.theta[: len(machine.parameters)]
+        where = parameters, maps.command, reference
         judged, absorbed = (
-            effect_maps(
-                kinematics, acting_forms, state, parameters, command, reference
-            ).raw
-            for state in states
+            effect_maps(kinematics, acting_forms, state, *where).raw for state in states
         )
         changes = np.hstack([form.changes for form in forms])
         by_effect = _errors_by_effect(
