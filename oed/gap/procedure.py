@@ -239,11 +239,6 @@ def conclude(
     search = searched[best.law]
     law = search.law_at(search.noise_level(best))
     untested = search.library.not_testable
-    contents = []
-    for h in leading:
-        atoms = [searched[h.law].library.atoms[k] for k in h.atoms]
-        constants = {atom.effect: atom.constants for atom in atoms}
-        contents.append(AnswerContent(constants, h.unknown))
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)
@@ -279,7 +274,9 @@ def conclude(
         effective_laws=None if is_law_known else best.effective_laws,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
-        contents=tuple(contents),
+        contents=tuple(
+            AnswerContent(searched[h.law].constants(h), h.unknown) for h in leading
+        ),
         left_out=left_out,
     )
     return diagnosis, best

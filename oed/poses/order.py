@@ -47,7 +47,7 @@ def interleave(
     Returns the pose of each reading, -1 at the reference, and when the last one ends.
     Raises ValueError where a run alone takes longer than `every`.
     """
-    beside = travel[path.indices]
+    way = travel[path.indices]
     ends = np.cumsum(path.steps + reading)
     edges = np.append(np.flatnonzero(np.diff(path.run, prepend=-1)), len(ends))
     longest = every * (1.0 + TIME_TOLERANCE)
@@ -58,7 +58,7 @@ def interleave(
         for a in reversed(range(b)):
             first, last = edges[a], edges[b] - 1
             inside = reading + ends[last] - ends[first]
-            seconds = float(beside[first] + inside + beside[last])
+            seconds = float(way[first] + inside + way[last])
             if seconds > longest:
                 if a == b - 1:
                     raise ValueError(

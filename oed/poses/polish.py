@@ -212,22 +212,20 @@ class PolishProgram:
         slack = self.travel or 0.0
         self._constrain(y[0, :] - instrument.fixed_reading(by_name), -slack, slack)
 
-    def set_objective(
-        self, basis: Array, prior: Array, criterion: Criterion, scaling: Scaling
-    ) -> None:
-        """The criterion over the columns of `basis`, and the held readings."""
-        m = ca.MX(ca.DM(prior))
+    def set_objective(self, goal: "_PolishEvaluator") -> None:
+        """The criterion over the columns of its basis, and the held readings."""
+        m = ca.MX(ca.DM(goal.prior))
         for k, series in enumerate(self.start.series):
             setup = self.start.setup(series)
             reading = reading_plan.symbolic_reading(
-                self.start.measurement, setup, scaling, basis
+                self.start.measurement, setup, goal.scaling, goal.basis
             )
             inputs = self._reading_inputs(k, series.index)
             columns = reading.rows.map(len(series))(*inputs)
             m += columns @ columns.T
             self._constrain_hold(k, reading.value)
         symbol = ca.SX.sym("m", *m.shape)
-        value = criterion.expression(symbol)
+        value = goal.criterion.expression(symbol)
         function = ca.Function("criterion", [symbol], [value], {"cse": True})
         self._objective = function(m)
 
@@ -358,9 +356,7 @@ def polish_readings(
             "the start is singular: give readings that determine every direction, or a prior"
         )
     program = PolishProgram(start, variables, travel, clearance)
-    program.set_objective(
-        evaluator.basis, evaluator.prior, evaluator.criterion, scaling
-    )
+    program.set_objective(evaluator)
     reasons = []
     for curvature in START_CURVATURES:
         status, z = program.solve(curvature, iterations)

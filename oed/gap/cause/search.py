@@ -10,7 +10,7 @@ the sum over all combinations is taken about the best one: with a* the best form
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy import special
@@ -273,6 +273,11 @@ class Search:
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
         return self.library.atoms[atom].columns
+
+    def constants(self, h: Hypothesis) -> dict[str, Mapping[str, float]]:
+        """{effect: its constants} in the forms of a hypothesis."""
+        atoms = [self.library.atoms[k] for k in h.atoms]
+        return {atom.effect: atom.constants for atom in atoms}
 
     # -- products of all forms' columns, computed where one is asked for ---------------
     @functools.cached_property

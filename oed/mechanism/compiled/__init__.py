@@ -258,8 +258,8 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
     with whole_file(file) as part:
         part.write_bytes(content)
     # the folder stays small: processes that have a file open keep it
-    made = sorted(folder.glob("*.so"), key=lambda file: file.stat().st_mtime_ns)
-    for oldest in made[:-MAX_FILES]:
+    compiled = sorted(folder.glob("*.so"), key=lambda file: file.stat().st_mtime_ns)
+    for oldest in compiled[:-MAX_FILES]:
         oldest.unlink(missing_ok=True)
     return file
 
