@@ -17,7 +17,7 @@ from oed.planning import travel
 from oed.planning.goal import Goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
-from oed.planning.prediction import MACHINE_DRAWS, PlanStage, predict_stage, profile
+from oed.planning.prediction import MACHINE_DRAWS, PlanStage, predict_stage
 
 # Random streams of a plan search: one for each question that drawn machines answer.
 #
@@ -160,44 +160,6 @@ def pareto_front(plans: Sequence[StagePlan]) -> list[StagePlan]:
         if not front or plan.value < front[-1].value * (1 - 1e-9):
             front.append(plan)
     return front
-
-
-def predict_plan(
-    readings: Sequence[tuple[Option, Index]],
-    goal: Goal,
-    start: Array,
-    stage_generator: Callable[[int], np.random.Generator],
-) -> StagePlan:
-    """A plan of some candidates of each option, one option after the other.
-
-    start            (n, n) covariance of the machine before
-    stage_generator  random numbers about one stage, counted from 0
-    """
-    prior: Prior = start
-    stages: list[PlanStage] = []
-    for k, (option, chosen) in enumerate(readings):
-        probability = travel.capture_probability(option, prior, capture_stream())
-        rng = stage_generator(k)
-        stages.append(predict_stage(option, chosen, prior, probability, rng))
-        prior = stages[-1].posterior
-    covariances = [start, *(stage.covariance for stage in stages)]
-    return StagePlan(
-        stages=tuple(stages),
-        seconds=sum(stage.seconds for stage in stages),
-        value=goal.value(covariances[-1]),
-        accuracy=tuple(goal.accuracy(c) for c in covariances),
-    )
-
-
-def covariance_of_all(options: Sequence[Option], start: Array) -> Array:
-    """Covariance (n, n) after all candidates of all options, none of them lost."""
-    information = symmetric_inverse(start)
-    n = len(start)
-    for option in options:
-        blocks = option.candidates.blocks
-        rows = blocks.reshape(-1, blocks.shape[2])
-        information = information + profile((rows.T @ rows)[None], n, n).machine[0]
-    return symmetric_inverse(information)
 
 
 #: capture probability below which a candidate is not worth a look

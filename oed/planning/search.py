@@ -28,17 +28,15 @@ from oed.planning.bound import GoalBound, bound_goal
 from oed.planning.goal import Goal, ToolEffects, workspace_goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
-from oed.planning.prediction import PlanStage
+from oed.planning.prediction import PlanStage, predict_stage, profile
 from oed.planning.problem import (
     PlanProblem,
     PlanStreams,
     StageMemory,
     StagePlan,
     best_plan,
-    covariance_of_all,
     is_better,
     pareto_front,
-    predict_plan,
     select_readings,
 )
 from oed.planning.virtual_machines import PlanRealisation, propagate
@@ -532,7 +530,17 @@ class PlanningTask:
 
         Raises ValueError where the time pays for no measurement.
         """
-        problem = PlanProblem(
+        problem = self._problem(budget, stages, options)
+        return search_plan(problem, beam=beam, loss=loss, progress=progress)
+
+    def _problem(
+        self,
+        budget: float | None = None,
+        stages: int | None = None,
+        options: Sequence[Option] | None = None,
+    ) -> PlanProblem:
+        """The problem of a new search; by default all of the task."""
+        return PlanProblem(
             tuple(self.options if options is None else options),
             self.goal,
             self.budget if budget is None else budget,
@@ -541,7 +549,6 @@ class PlanningTask:
             PlanStreams.seeded(self.seed),
             self.memory,
         )
-        return search_plan(problem, beam=beam, loss=loss, progress=progress)
 
     def stage_generator(self, stage: int) -> np.random.Generator:
         """Random numbers about one stage of a plan, counted from 0.
@@ -552,7 +559,14 @@ class PlanningTask:
 
     def predict(self, readings: Sequence[tuple[Option, Index]]) -> StagePlan:
         """A plan of some candidates of each option, one option after the other."""
-        return predict_plan(readings, self.goal, self.start, self.stage_generator)
+        problem = self._problem()
+        plan = problem.empty_plan()
+        for k, (option, chosen) in enumerate(readings):
+            prior, rng = plan.posterior(self.start), self.stage_generator(k)
+            probability = problem.capture_probability(option, prior)
+            stage = predict_stage(option, chosen, prior, probability, rng)
+            plan = problem.extend(plan, stage)
+        return plan
 
     def realise(
         self,
@@ -578,4 +592,9 @@ class PlanningTask:
 
     def covariance_of_all(self) -> Array:
         """Covariance (n, n) after all candidates of all options, none of them lost."""
-        return covariance_of_all(self.options, self.start)
+        information, n = symmetric_inverse(self.start), len(self.start)
+        for option in self.options:
+            blocks = option.candidates.blocks
+            rows = blocks.reshape(-1, blocks.shape[2])
+            information = information + profile((rows.T @ rows)[None], n, n).machine[0]
+        return symmetric_inverse(information)
