@@ -285,12 +285,8 @@ def run_curves(
     """The curves of each channel of each circle or line, in order along it."""
     first = 0
     for s in series:
-        setup = measurement.setups[s.setup]
-        channels = setup.instrument.channels
-        poses = measurement.poses(s, measurement.nominal)
-        tool_points = measurement.kinematics.frames(poses, np.array(setup.tool))[1]
-        tips = tool_points[s.index[:, 0]]
-        phase = phase_along_runs(tips, s.run, np.empty(0, dtype=np.intp))
+        channels = measurement.setups[s.setup].instrument.channels
+        tips, phase = _run_phase(measurement, s)
         for run in dict.fromkeys(s.run):
             members = np.flatnonzero(s.run == run)
             kind, along, _ = run_shape(tips[members], phase[members])
@@ -316,6 +312,15 @@ def run_curves(
                     ),
                 )
         first += len(s) * len(channels)
+
+
+def _run_phase(measurement: Measurement, series: Series) -> tuple[Array, Array]:
+    """Nominal tool point (n, 3), m, of each reading, and its phase (n,), rad."""
+    setup = measurement.setups[series.setup]
+    poses = measurement.poses(series, measurement.nominal)
+    points = measurement.kinematics.frames(poses, np.array(setup.tool))[1]
+    tips = points[series.index[:, 0]]
+    return tips, phase_along_runs(tips, series.run, np.empty(0, dtype=np.intp))
 
 
 def _displayed(
