@@ -81,10 +81,7 @@ class PromisedAccuracy:
         machine = kinematics.machine
         used = StudyWorkspace(study, kinematics)
         workspace, reference = used.regular, used.reference
-        command = workspace
-        if reference != "best_fit":
-            between = used.intermediate_commands(MAX_POSES_BETWEEN)
-            command = np.vstack([workspace, between])
+        command = _poses(used)
         maps = ErrorMaps.of(kinematics, command, reference)
         covariance, tolerance = covariances(machine, section)
         raw = maps.raw
@@ -131,6 +128,13 @@ class PromisedAccuracy:
             conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
             further=_further(result, kinematics, maps, reference, others, promise),
         )
+
+
+def _poses(used: StudyWorkspace) -> Array:
+    """Commands (n, n_dof) of the workspace, and between them but for a best fit."""
+    if used.reference == "best_fit":
+        return used.regular
+    return np.vstack([used.regular, used.intermediate_commands(MAX_POSES_BETWEEN)])
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

@@ -544,8 +544,8 @@ def check_readings(state: Measured) -> Measured:
     rest = checked.session.without(checked.set_aside)
     rows = readings.covariates
     if rows is not None:
-        left = np.setdiff1d(np.arange(len(rows)), checked.set_aside)
-        rows = rows.iloc[left].reset_index(drop=True)
+        fitted_rows = np.setdiff1d(np.arange(len(rows)), checked.set_aside)
+        rows = rows.iloc[fitted_rows].reset_index(drop=True)
     readings = dataclasses.replace(
         readings, series=rest.series, y=rest.y, covariates=rows
     )

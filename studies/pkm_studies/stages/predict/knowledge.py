@@ -179,7 +179,7 @@ def accuracy(
             # effects act beside the parameters, and stay as they are
             acting = effects.maps(command, reference, rng, tool)
             of_effects = effects.draws.mean(axis=0)
-            judged = _beside(maps, acting)
+            judged = _joined_maps(maps, acting)
             if remaining is None:
                 remaining = _remaining_to_first_order(knowledge, mean, maps)
             remaining = remaining + acting.raw @ of_effects
@@ -209,7 +209,7 @@ def accuracy(
     return result
 
 
-def _beside(maps: ErrorMaps, acting: ErrorMaps) -> ErrorMaps:
+def _joined_maps(maps: ErrorMaps, acting: ErrorMaps) -> ErrorMaps:
     """Maps of parameters and effects; compensation of the first leaves the others."""
     return dataclasses.replace(
         maps,
