@@ -96,17 +96,15 @@ def fixed(value: float | None, decimals: int) -> str:
     return _minus_sign(written)
 
 
-def aligned(
-    values: Iterable[float | None], most: int = 4, digits: int = 7
-) -> list[str]:
-    """Numbers of one column, all with as many decimals as show them to `digits` digits."""
+def aligned(values: Iterable[float | None], most: int = 4) -> list[str]:
+    """Numbers of one column, all with as many decimals as show them to seven digits."""
     numbers = [or_nan(value) for value in values]
     sizes = [abs(x) for x in finite(numbers)]
     largest = max(sizes, default=0.0)
     room = 0
     if largest > 0.0:
         before_point = math.floor(math.log10(largest))
-        room = max(0, min(most, digits - 1 - before_point))
+        room = max(0, min(most, 6 - before_point))
     fractions = [f"{x:.{room}f}".partition(".")[2].rstrip("0") for x in sizes]
     decimals = max(map(len, fractions), default=0)
     return [fixed(x, decimals) for x in numbers]

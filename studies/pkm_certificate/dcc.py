@@ -119,14 +119,14 @@ def _item(item: Element, c: Certificate) -> None:
         _words(_add(item, "manufacturer"), "name", c.head.item.manufacturer)
     if c.head.item.model:
         _add(item, "model", c.head.item.model)
-    _identification(item, "manufacturer", c.head.item.serial, "Serial number")
+    _serial_number(item, c.head.item.serial)
 
 
-def _identification(parent: Element, issuer: str, value: str, name: str) -> None:
+def _serial_number(parent: Element, value: str) -> None:
     entry = _add(_add(parent, "identifications"), "identification")
-    _add(entry, "issuer", issuer)
+    _add(entry, "issuer", "manufacturer")
     _add(entry, "value", value)
-    _words(entry, "name", name)
+    _words(entry, "name", "Serial number")
 
 
 def _contact(parent: Element, contact: Institution) -> None:
@@ -187,7 +187,7 @@ def _equipment(parent: Element, c: Certificate) -> None:
             number = f"Calibration certificate {instrument.certificate}"
             _words(entry, "description", number)
         if instrument.serial:
-            _identification(entry, "manufacturer", instrument.serial, "Serial number")
+            _serial_number(entry, instrument.serial)
 
 
 def _conditions(parent: Element, c: Certificate) -> None:

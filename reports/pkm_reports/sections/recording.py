@@ -33,13 +33,14 @@ def recording_blocks(recording: RecordingSection | None) -> list[Block]:
         TableColumn("Effects that depend on it", wide=True),
         *TableColumn.numbers("error falls by", "worth", *map(_accuracy_heading, keys)),
     ]
-    values = _accuracy_values(recording.accuracy, list(recording.accuracy))
-    rows = [["nothing", "", "", "", *values]]
+    known = _accuracy_values(recording.accuracy, keys)
+    rows = [["nothing", "", "", "", *known]]
     for choice in recording.choices:
         cells = [choice.words, ", ".join(choice.effects) or "-"]
         cells += [text.percent(choice.gain), _worth(choice)]
         rows.append([*cells, *_accuracy_values(choice.accuracy, keys)])
-    rows.append(_noise_floor(recording))
+    floor = _accuracy_values(recording.floor, keys)
+    rows.append(["nothing, with any number of readings", "", "", "", *floor])
     sentence = (
         "What else to record: the predicted error where nothing but poses and readings is"
         " recorded, and what each covariate or choice takes off it. The same covariate must"
@@ -51,11 +52,6 @@ def recording_blocks(recording: RecordingSection | None) -> list[Block]:
         " same without it; floor: no number does."
     )
     return [Paragraph(sentence), Table(columns, rows, caption)]
-
-
-def _noise_floor(recording: RecordingSection) -> list[str]:
-    values = _accuracy_values(recording.floor, list(recording.accuracy))
-    return ["nothing, with any number of readings", "", "", "", *values]
 
 
 def _accuracy_heading(key: str) -> str:
