@@ -329,8 +329,10 @@ def verdict_sentences(
         return []
     scopes = ", ".join(dict.fromkeys(v.scope for v in verdicts.values()))
     sent = "its effects as well" if corrects_effects else "the geometry alone"
+    decide = dict.fromkeys(v.decide.rstrip(".") for v in verdicts.values() if v.decide)
     return [
-        f"wanted, where the controller corrects {sent}: {'; '.join(parts)}; {scopes}"
+        f"wanted, where the controller corrects {sent}: {'; '.join(parts)}; {scopes}",
+        *(f"to decide what is wanted: {phrase}" for phrase in decide),
     ]
 
 
