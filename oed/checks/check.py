@@ -99,6 +99,8 @@ class CheckedSession:
     search: OutlierSearch | None
     #: mistakes that explain readings which do not fit
     explanations: tuple[Explanation, ...]
+    #: the same by the stated noise, where an estimated law explains more; None elsewhere
+    as_stated: Goodness | None = None
 
     @property
     def outliers(self) -> OutlierSearch | None:
@@ -268,7 +270,12 @@ def check_session(
         every = fit(session)
         fitted = None if every is None else goodness(every)
     checked = CheckedSession(
-        session, (), fitted, judgement.outliers, tuple(explanations)
+        session,
+        (),
+        fitted,
+        judgement.outliers,
+        tuple(explanations),
+        None if explanations else judgement.as_stated,
     )
     findings = [
         *sentences.explained(explanations),

@@ -45,6 +45,8 @@ class Judgement:
     fitted: Goodness | None  #: residuals of the others against the noise
     sound: bool  #: whether nothing asks for an explanation, by the law
     stated: bool  #: the same by the stated noise
+    #: `fitted` by the stated noise, where an estimated law explains more; None elsewhere
+    as_stated: Goodness | None = None
 
 
 def judge(
@@ -72,7 +74,7 @@ def judge(
     by_law = _judge_by_law(session, suspects, solution, robust=robust)
     if by_law is None:
         return stated
-    return dataclasses.replace(by_law, stated=stated.sound)
+    return dataclasses.replace(by_law, stated=stated.sound, as_stated=fitted)
 
 
 def _judge_by_law(

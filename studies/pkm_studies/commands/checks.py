@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import checks
+from oed.fit_limits import ALARM_PROBABILITY
 from oed.mechanism import AssemblyError, Kinematics, closest_closure
 from oed.model import Machine
 from pkm_studies import catalogue, files, quantities, shipped, sources, stages
@@ -147,6 +148,13 @@ def _add_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
     checked = stages.check_dataset(study, data, _rng(study))
     findings = [f.sentence for f in checked.findings if not f.is_remark]
     remarks = [f.sentence for f in checked.findings if f.is_remark]
+    stated = checked.as_stated
+    if stated is not None and stated.p_high < ALARM_PROBABILITY:
+        remarks.append(
+            f"The residuals are {stated.ratio:.2g} times the stated noise. Correlated or"
+            " larger noise may explain that, or an effect that the model lacks:"
+            " `oed diagnose` compares them."
+        )
     return Verdict(content, findings, remarks)
 
 

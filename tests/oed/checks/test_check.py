@@ -25,6 +25,7 @@ from oed.checks.outliers import far_readings, find_outliers
 from oed.checks.screening import linear_readings, log_evidence
 from oed.checks.session import SessionReadings
 from oed.estimation import identify
+from oed.fit_limits import ALARM_PROBABILITY
 from oed.noise import Noise
 
 SIGMA = 0.5e-6
@@ -147,6 +148,19 @@ def test_check_and_fit_judge_by_one_noise_law():
     assert scales == pytest.approx(fitted.scale[0].tolist(), rel=0.1)
     assert law.law.level[0] == pytest.approx(fitted.level[0], rel=0.2)
     assert fitted.level[0] > 0.9
+
+
+def test_a_law_that_takes_a_misfit_keeps_the_ratio_to_the_stated_noise():
+    """Three waves of five times the noise along each run: no finding, and no silence."""
+    rows = machines.readings("a3", 3)
+    phase = rows.groupby("run").cumcount() / rows.groupby("run").cumcount().max()
+    rows["length_mm"] += 1e3 * 5.0 * SIGMA * np.sin(6.0 * np.pi * phase)
+    checked = machines.check("a3", rows)
+    assert checked.as_stated is not None
+    assert checked.as_stated.p_high < ALARM_PROBABILITY
+    assert checked.as_stated.ratio > 1.5
+    assert not checked.goodness.too_large
+    assert machines.check("a3", machines.readings("a3", 3)).as_stated is None
 
 
 def test_no_sign_is_lost_where_none_is_known():
