@@ -249,6 +249,9 @@ def conclude(
         scatter = excess_scatter(search.given, law)
     unstated = unstated_scatter(search.given, law)
     is_law_known = all(s.law is searched[0].law for s in searched)
+    structure = search.given.structure
+    is_assumed = structure.statement.is_assumed
+    unit = "the noise of the fit" if is_assumed else "the stated noise"
     diagnosis = Diagnosis(
         **vars(explain(search.given, search, best, named)),
         problem=search.given,
@@ -261,7 +264,7 @@ def conclude(
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
-        noise_words=law.describe(search.given.structure.longest),
+        noise_words=law.describe(structure.longest, unit),
         likeness=_likeness(search, best),
         nearest=nearest_effects(search, best),
         where=(),

@@ -218,26 +218,27 @@ class NoiseLaw:
         """Root of the covariance of all readings, or of the readings `rows`."""
         return LinearFactor(self.errors(structure, rows))
 
-    def describe(self, longest: float = np.inf) -> tuple[str, ...]:
-        """The law in sentences, for a longest run of so many readings."""
-        sentences = [
-            f"single readings scatter by {self.level:.2g} times the stated noise"
-        ]
+    def describe(
+        self, longest: float = np.inf, unit: str = "the stated noise"
+    ) -> tuple[str, ...]:
+        """The law in sentences, for a longest run of so many readings.
+
+        unit  what its sizes are multiples of
+        """
+        sentences = [f"single readings scatter by {self.level:.2g} times {unit}"]
         run, seat = (float(sizes[0]) for sizes in (self.law.level, self.law.seat))
         correlated = float(np.sqrt(self.law.correlated[0]))
         reach = float(self.law.reach[0])
         if run > DESCRIBED_SIZE:
-            sentences.append(
-                f"runs differ by {self.level * run:.2g} times the stated noise"
-            )
+            sentences.append(f"runs differ by {self.level * run:.2g} times {unit}")
         if seat > DESCRIBED_SIZE:
             sentences.append(
                 "what a run seats anew, such as a cup on its magnet, repeats to"
-                f" {self.level * seat:.2g} times the stated noise"
+                f" {self.level * seat:.2g} times {unit}"
             )
         if correlated > DESCRIBED_SIZE:
             sentences.append(
-                f"noise of {self.level * correlated:.2g} times the stated one is"
+                f"noise of {self.level * correlated:.2g} times {unit} is"
                 f" correlated {reach_phrase(reach, longest)}"
             )
         if np.isfinite(self.student_dof):

@@ -87,6 +87,27 @@ def test_twenty_measured_positions_of_four_belts(tmp_path):
     assert after < 0.6, (before, after)  # the noise, a coordinate: 0.5
 
 
+def test_a_guessed_noise_that_is_far_too_large_brings_no_effect(tmp_path):
+    """Positions to 5 um, where half a millimetre is assumed of a tool with no name."""
+    rng = np.random.default_rng(6)
+    places = np.array([[x, y] for x in range(-700, 701, 200) for y in (-450, 0, 450)])
+    read = reached(places, ANCHORS, ANCHORS + 0.1 * SHIFT)
+    read = np.vstack([read, read]) + rng.normal(0.0, 5e-3, (48, 2))
+    rows = np.c_[np.vstack([places, places]), read]
+    file = tmp_path / "sheet.csv"
+    lines = [",".join(f"{value:.5f}" for value in row) for row in rows]
+    file.write_text("\n".join(["x,y,measured x,measured y", *lines]) + "\n")
+    folder = tmp_path / "study"
+    study, _ = import_numbers(
+        "cables_planar", (ANCHOR_TEXT,), [file], folder, Consent.RECORDED
+    )
+    study.write_text(study.read_text() + "\n[posterior]\nenabled = false\n")
+    gap = stages.run_study(Study.load(study), folder / "fit", report=False).gap
+    assert gap.verdict == "none"
+    assert max(gap.rms_before.values()) < 8.0
+    assert gap.noise[0].endswith("times the noise of the fit")
+
+
 def test_numbers_that_are_right(tmp_path):
     rng = np.random.default_rng(4)
     read = PLACES + rng.normal(0.0, 0.5, PLACES.shape)

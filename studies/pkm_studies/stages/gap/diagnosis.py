@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -553,6 +554,26 @@ def diagnose_gap(state: Fitted) -> Fitted:
     return diagnose_always(state)
 
 
+def _with_estimated_noise(state: Fitted) -> Measurement:
+    """The measurement; of an assumed noise that is larger, with the one that the fit found.
+
+    The law of the noise is sought about the stated one, and a guess that is a hundred
+    times too large is beyond its reach. A larger scatter may be an effect's, and stays.
+    """
+    posterior = state.estimate.noise_posterior
+    if posterior is None or not state.study.noise.assumed:
+        return state.measurement
+    law = posterior.prior.laws(posterior.mode[None])
+    scale = dict(zip(posterior.structure.names, law.scale[0], strict=True))
+    setups = []
+    for setup in state.measurement.setups.values():
+        names = [f"{setup.name}.{c.name}" for c in setup.instrument.channels]
+        sizes = zip(names, setup.sigma, strict=True)
+        sigma = tuple(s * min(1.0, float(scale.get(name, 1.0))) for name, s in sizes)
+        setups.append(dataclasses.replace(setup, sigma=sigma))
+    return state.measurement.with_setups(setups)
+
+
 def diagnose_always(state: Fitted) -> Fitted:
     """Diagnose by [gap], or by its defaults where the study has none."""
     request, readings = state.resolved.diagnosed, state.readings
@@ -566,7 +587,7 @@ def diagnose_always(state: Fitted) -> Fitted:
         state.measurement, readings.series, readings.covariates, request
     )
     residuals = gap.assemble(
-        state.measurement,
+        _with_estimated_noise(state),
         readings.series,
         covariates,
         state.estimate.theta,
