@@ -280,7 +280,6 @@ def test_a_check_names_a_misspelt_effect(tmp_path, capsys, table):
 
 ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
 ESTIMATED = sample.changed(bad_fit_sample.STUDY, ESTIMATE)
-ESTIMATED = sample.changed(bad_fit_sample.WITHOUT_REPORT, ESTIMATE)
 
 
 def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
@@ -374,7 +373,7 @@ def test_a_mistake_is_the_first_line_and_predicts_nothing(
         return [one for one in every if one.trial.kind == "sign"], []
 
     monkeypatch.setattr(explain, "candidates", of_signs)
-    turned = readings.with_y(2.0 * bar_readings.LENGTH - readings.y)
+    turned = readings.with_y(2.0 * bar_readings.BAR - readings.y)
     assert identify(tmp_path, turned) == 1
     out = capsys.readouterr().out
     first = "The readings look mistaken: the sign of the deviations of length_mm"

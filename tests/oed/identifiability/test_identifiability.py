@@ -20,6 +20,7 @@ from oed.identifiability import (
     recoveries,
 )
 from oed.identifiability.assessment import free_parameters
+from oed.identifiability.identifiability import lost_motions, rigid_motions
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from oed.model import CommonTolerance
@@ -176,10 +177,7 @@ def test_names_and_scales_must_fit():
 
 def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body():
     names = [p.name for p in a3_head.machine.parameters]
-    motions = {
-        m.text: m.direction
-        for m in identifiability.rigid_motions(a3_head.machine, names)
-    }
+    motions = {m.text: m.direction for m in rigid_motions(a3_head.machine, names)}
     assert len(motions) == 12
     spin = motions["rotation of the platform joints about the TCP, z axis"]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
@@ -190,27 +188,27 @@ def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body():
     lifted = [n for n, v in zip(names, lift, strict=True) if v]
     assert lifted == ["db1z", "db2z", "db3z"]
     free = [n for n in names if n not in a3_head.machine.frame]
-    kept = {m.text for m in identifiability.rigid_motions(a3_head.machine, free)}
+    kept = {m.text for m in rigid_motions(a3_head.machine, free)}
     assert kept == {t for t in motions if "platform" in t}
-    assert identifiability.rigid_motions(linear_delta.machine, ["radius"]) == []
+    assert rigid_motions(linear_delta.machine, ["radius"]) == []
 
 
 def test_lost_motions_are_named_and_the_rest_is_left():
     """An H that sees all but the platform's spin and the mean of the home errors."""
     machine = a3_head.machine
     names, scale = [p.name for p in machine.parameters], np.full(24, 1e-3)
-    motions = identifiability.rigid_motions(machine, names)
+    motions = rigid_motions(machine, names)
     spin = next(m for m in motions if m.text.endswith("TCP, z axis")).direction
     mean = np.r_[1.0, 1.0, 1.0, np.zeros(21)]
     blind = np.linalg.svd(np.array([spin, mean]))[2][:2]
     h = np.eye(24) - blind.T @ blind
     told = identifiability.analyse(h, names, scale)
-    texts, rest = identifiability.lost_motions(told, machine, scale)
+    texts, rest = lost_motions(told, machine, scale)
     assert texts == ["rotation of the platform joints about the TCP, z axis"]
     assert rest.shape == (1, 24)
     assert np.abs(rest @ mean) == pytest.approx(np.sqrt(3))
     everything = identifiability.analyse(np.eye(24), names, scale)
-    assert identifiability.lost_motions(everything, machine, scale)[0] == []
+    assert lost_motions(everything, machine, scale)[0] == []
 
 
 GRID = np.linspace(-0.06, 0.06, 4)
