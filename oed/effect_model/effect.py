@@ -14,6 +14,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,14 +136,15 @@ class State:
     def take(self, rows: Index) -> "State":
         """The state at some of its poses, by number, in this order."""
         whole = ("session_times", "joint_range", "home")
-        values = {
+        values: dict[str, Any] = {
             f.name: getattr(self, f.name)
             for f in dataclasses.fields(self)
             if f.name not in whole
         }
         arrays = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray)}
         temperature = {body: v[rows] for body, v in self.temperature.items()}
-        return dataclasses.replace(self, **arrays, temperature=temperature)
+        changes: dict[str, Any] = {**arrays, "temperature": temperature}
+        return dataclasses.replace(self, **changes)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

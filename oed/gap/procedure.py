@@ -105,6 +105,14 @@ def explain(
     )
 
 
+def _noise_words(problem: GapProblem, law: NoiseLaw) -> tuple[str, ...]:
+    """The law in sentences; an assumed noise was replaced by that of the fit before."""
+    structure = problem.structure
+    is_assumed = structure.statement.is_assumed
+    unit = "the noise of the fit" if is_assumed else "the stated noise"
+    return law.describe(structure.longest, unit)
+
+
 def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:
     """Effects that explain most of an unknown remainder, the nearest first.
 
@@ -249,9 +257,6 @@ def conclude(
         scatter = excess_scatter(search.given, law)
     unstated = unstated_scatter(search.given, law)
     is_law_known = all(s.law is searched[0].law for s in searched)
-    structure = search.given.structure
-    is_assumed = structure.statement.is_assumed
-    unit = "the noise of the fit" if is_assumed else "the stated noise"
     diagnosis = Diagnosis(
         **vars(explain(search.given, search, best, named)),
         problem=search.given,
@@ -264,7 +269,7 @@ def conclude(
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
-        noise_words=law.describe(structure.longest, unit),
+        noise_words=_noise_words(search.given, law),
         likeness=_likeness(search, best),
         nearest=nearest_effects(search, best),
         where=(),

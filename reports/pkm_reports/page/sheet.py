@@ -200,7 +200,7 @@ def _settings(setup: SetupInfo) -> str:
     return " · ".join(part for part in parts if part and part != text.MISSING)
 
 
-def _row_height(stages: Sequence[Mapping[str, Any]]) -> float:
+def _row_height(stages: Sequence[dict[str, Any]]) -> float:
     """mm: as much room to write as fits on the page."""
     tables = [table for stage in stages for table in stage["tables"]]
     lines = sum(int(table["lines"]) for table in tables)

@@ -274,8 +274,8 @@ def _sizes_by_channel(
     sizes: Mapping[str, float | None], channel_units: Mapping[str, str]
 ) -> str:
     """Rms by channel; one channel alone needs no name."""
-    seen = [rms for rms in sizes.values() if rms is None or rms > MIN_VISIBLE_RMS]
-    return sizes_by_channel(sizes, channel_units, named=len(seen) > 1)
+    visible = [rms for rms in sizes.values() if rms is None or rms > MIN_VISIBLE_RMS]
+    return sizes_by_channel(sizes, channel_units, named=len(visible) > 1)
 
 
 #: an effect, its rival, and a combination of coefficients that the rival imitates
