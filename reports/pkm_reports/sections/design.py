@@ -29,7 +29,7 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections.criteria import criteria_blocks, criterion_value
-from pkm_reports.sections.recording import recording_blocks, remaining_errors
+from pkm_reports.sections.plan import recording_blocks, remaining_errors
 
 # The robust and the nominal plan over the scenarios, as cumulative distributions.
 

@@ -41,8 +41,9 @@ from pkm_reports.sections.plan import (
     has_schedule,
     is_missed,
     minutes,
+    recording_blocks,
+    remaining_errors,
 )
-from pkm_reports.sections.recording import recording_blocks, remaining_errors
 
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 

@@ -11,7 +11,7 @@ from oed.effect_model import Column, Effect
 from oed.effects import CourseColumns, ExpectedColumns, SessionStates
 from oed.recording import PlannedReadings, relative, remaining_error
 from pkm_reports.blocks import Table
-from pkm_reports.sections.recording import recording_blocks
+from pkm_reports.sections.plan import recording_blocks
 from pkm_studies.resolve import GapRequest
 from pkm_studies.stages import select_design
 from pkm_studies.stages.headline import recording_sentences
