@@ -761,12 +761,20 @@ PARTS: Final[tuple[Part, ...]] = (
 
 
 def answer_parts(result: StudyResult) -> list[Section]:
-    """The parts of the first page that this result can answer."""
+    """The parts of the first page that this result can answer.
+
+    A table of accuracies with verdicts is as wide as two cards, and stands above them.
+    """
+    parts = list(PARTS)
+    if wanted_accuracy(result):
+        anchors = [anchor for anchor, _, _ in PARTS]
+        accuracy = parts.pop(anchors.index("how-accurate"))
+        parts.insert(anchors.index("measure"), accuracy)
     content = [
         Section(
             anchor, title if isinstance(title, str) else title(result), blocks(result)
         )
-        for anchor, title, blocks in PARTS
+        for anchor, title, blocks in parts
     ]
     return [part for part in content if part.blocks]
 

@@ -44,7 +44,7 @@ def _words(result: StudyResult) -> dict[str, str]:
 
 def test_a_plan_says_what_how_long_and_how_accurate():
     words = _words(result_of(report_fixture.sample()))
-    assert list(words) == ["short", "measure", "how-accurate", "unknown", "warnings"]
+    assert list(words) == ["short", "how-accurate", "measure", "unknown", "warnings"]
     assert "30, chosen from 1512 candidates" in words["measure"]
     assert "Double ball bar" in words["measure"]
     minutes = report_fixture.sample()["design"]["order"]["minutes"]
