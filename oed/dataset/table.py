@@ -349,7 +349,8 @@ def _header(
         column = _column(name, file, row, expected)
         if column.stem in columns:
             problem = f"{column.stem} is given twice"
-            remedy = f"keep {columns[column.stem].name} or {name}"
+            other = columns[column.stem].name
+            remedy = f"keep {other} or {name}" if other != name else "keep one of them"
             raise ReadingsError(problem, remedy, file=file, row=row, column=name)
         columns[column.stem] = column
     return columns

@@ -133,3 +133,13 @@ def test_a_coarse_table_leaves_the_errors_of_its_interpolation():
     expected = planar_geometry.forward(joints, TRUTH) - places
     assert np.abs(expected).max() > 1e-5
     assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_no_joint_of_the_head_makes_is_a_turn_and_two_shifts():
+    axes = FurtherAxes.of(Kinematics(a3_head.machine)).axes
+    assert [(a.name, a.unit, a.component) for a in axes] == [
+        ("x", "m", "x"),
+        ("y", "m", "y"),
+        ("turn", "rad", "phi"),
+    ]
+    assert "about the tool axis" in axes[2].about

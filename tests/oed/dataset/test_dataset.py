@@ -211,6 +211,7 @@ BAD = {
     "no unit": (("length_mm", "length"), 1, "length", "write length_m,"),
     "set-up column": (("setup,", "set,"), 1, "setup", "missing"),
     "reading column": (("length_mm", "payload_N"), 2, "length_mm", "has no column"),
+    "name twice": (("time_s", "z_mm"), 1, "z_mm", "keep one of them"),
     "column twice": (("time_s", "z_um"), 1, "z_um", "given twice"),
     "pose column": (("psi_deg", "payload_N"), 2, "psi", "no column for psi"),
 }  # fmt: skip

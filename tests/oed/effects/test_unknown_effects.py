@@ -54,6 +54,8 @@ def test_joints_err_one_by_one_and_readings_by_channel(state):
         f"leg {i + 1}" for i in state.limbs
     }
     assert all(len(c.joints) == 1 for c in of_joints.values())
+    of_leg = columns("unknown joints place", state)["leg 1 1"].joints
+    assert of_leg[0] == pytest.approx(place_terms(state)[:, 0])
     of_readings = columns("unknown readings place", state)
     assert {channel for c in of_readings.values() for channel in c.reading} == set(
         state.channels
