@@ -262,13 +262,17 @@ def _solve_coordinate(
     command: Array,
     column: int,
     limits: Coordinate,
+    home: float,
 ) -> tuple[Array, Mask]:
     """Commands (n, n_dof) with one column solved so that `read` gives the wanted value.
 
     read    readings (n,) at commands (n, n_dof), SI
     limits  range of the column
+    home    its value at home, within or at an end of the range
 
-    Returns them, and the mask (n,) of those that have a solution within the range.
+    A sphere about a cup at home crosses the range twice: then the crossing beyond home is
+    taken. Returns the commands, and the mask (n,) of those that have a solution within the
+    range.
     """
     from scipy.optimize import elementwise  # takes as long as NumPy to import
 
@@ -279,11 +283,14 @@ def _solve_coordinate(
         poses[:, column] = value
         return read(poses) - wanted
 
-    n = len(solved)
+    rows = np.arange(len(solved), dtype=float)
+    lower, upper = np.full(len(rows), limits.lower), np.full(len(rows), limits.upper)
+    at_lower, at_upper = excess(lower, rows), excess(upper, rows)
+    lower[at_lower * at_upper > 0.0] = home
     root = elementwise.find_root(
         excess,
-        (np.full(n, limits.lower), np.full(n, limits.upper)),
-        args=(np.arange(n, dtype=float),),
+        (lower, upper),
+        args=(rows,),
         tolerances={"xatol": 1e-12, "fatol": 1e-13},
     )
     solved[:, column] = root.x
@@ -311,4 +318,9 @@ def commands_at_fixed_reading(
     def read(poses: Array) -> Array:
         return measurement.expected_readings(measurement.series(setup, poses))
 
-    return _solve_coordinate(read, wanted, command, column, limits)
+    home = float(
+        measurement.machine.with_tool(
+            measurement.machine.home_command, np.array(mounted.tool)
+        )[column]
+    )
+    return _solve_coordinate(read, wanted, command, column, limits, home)

@@ -1,5 +1,6 @@
 """The text of a commented study to start from, for a machine with an instrument."""
 
+import dataclasses
 import math
 import re
 
@@ -28,6 +29,9 @@ from pkm_studies.tables import TO_MEASURE
 
 OPEN = f'"{TO_MEASURE}"'  #: a number that only the user can know, as TOML
 DEFAULT_READINGS = 30  #: readings of the design, where the grid has as many
+READINGS_PER_UNKNOWN = 1.5  #: of the design, where the unknowns ask for more
+#: shares of its usual length at which a bar is sold or made: 300, 150, 100, 50, 25, 10 mm
+LENGTH_SHARES = (1.0, 1 / 2, 1 / 3, 1 / 6, 1 / 12, 1 / 30)
 GAP = """\
 # Real machines have small effects beside their geometry. `oed identify` asks its readings
 # about all that the machine can have. About some alone, or none:
@@ -50,6 +54,7 @@ GAP = """\
 """
 #: least share of the grid's poses to which an instrument leads a "hold" coordinate
 LED_SHARE = 0.3
+FITTING_SHARE = 0.6  #: the same of a bar whose length is to be chosen
 SETUP = "setup1"
 
 
@@ -67,6 +72,7 @@ def draft_text(
     share  of the workspace that its poses span
     table  numbers of the machine, where they are not the model's
     """
+    instrument = _fitting(machine, instrument, share)
     blocks = [
         _head(name, machine, instrument),
         _machine(model, machine, table),
@@ -187,8 +193,16 @@ def _prior(machine: Machine) -> str:
 
 def _design(machine: Machine, instrument: Instrument, share: float) -> str:
     grid = grid_lines(machine, instrument, share)
+    candidates = grid_size("\n".join(grid))
+    hold, led_share = _led_coordinate(machine, instrument, share)
+    if hold is not None:
+        candidates = int(led_share * candidates)
+    fixed = sum(p.name in machine.frame for p in machine.parameters)
+    unknowns = len(machine.parameters) - fixed + len(instrument.nuisances)
+    wanted = READINGS_PER_UNKNOWN * unknowns / len(instrument.channels)
     # fewer than there are candidates
-    readings = min(DEFAULT_READINGS, grid_size("\n".join(grid)) // 2)
+    readings = min(DEFAULT_READINGS, candidates // 2)
+    readings = max(readings, min(math.ceil(wanted), candidates - 1))
     lines = [
         "[design]",
         'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: `oed schema study`',
@@ -243,7 +257,7 @@ def _claims() -> str:
 
 
 def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[str]:
-    hold = _led_coordinate(machine, instrument, share)
+    hold, _ = _led_coordinate(machine, instrument, share)
     fixed = [
         c.name for c in machine.command if instrument.fixed_point and c.name in "xyz"
     ]
@@ -266,12 +280,36 @@ def grid_size(lines: str) -> int:
     return math.prod(int(n) for n in re.findall(r"count = (\d+)", lines))
 
 
+def _fitting(machine: Machine, instrument: Instrument, share: float) -> Instrument:
+    """The instrument with the longest bar that the workspace holds, where it has one.
+
+    Where none reaches most poses, the one that reaches the most.
+    """
+    lengths = [s for s in instrument.settings if s.name == "length" and s.default]
+    if instrument.fixed_reading is None or not lengths:
+        return instrument
+    (length,) = lengths
+    led = {}
+    for part in LENGTH_SHARES:
+        shorter = dataclasses.replace(length, default=part * (length.default or 0.0))
+        settings = tuple(shorter if s is length else s for s in instrument.settings)
+        fitted = dataclasses.replace(instrument, settings=settings)
+        led[part] = _led_coordinate(machine, fitted, share)[1], fitted
+        if led[part][0] >= FITTING_SHARE:
+            return fitted
+    most, fitted = max(led.values(), key=lambda shares: shares[0])
+    return fitted if most >= LED_SHARE else instrument
+
+
 def _led_coordinate(
     machine: Machine, instrument: Instrument, share: float
-) -> str | None:
-    """The coordinate by which the instrument leads the tool at most poses, if any."""
+) -> tuple[str | None, float]:
+    """The coordinate by which the instrument leads the tool at most poses, if any.
+
+    The second result is the share of the poses at which it does.
+    """
     if instrument.fixed_reading is None:
-        return None
+        return None, 0.0
     axes = []
     for c in machine.command:
         whole_turn = (0.0, 2.0 * math.pi)
@@ -287,7 +325,7 @@ def _led_coordinate(
         for c in machine.command
     }
     best = max(shares, key=lambda name: shares[name])
-    return best if shares[best] >= LED_SHARE else None
+    return best if shares[best] >= LED_SHARE else None, shares[best]
 
 
 def _led_share(

@@ -121,7 +121,12 @@ def test_a_coordinate_is_solved_where_there_is_a_solution():
     """z with x^2 + z^2 = 1 within 0 to 1; there is none from x = 1 on."""
     command = np.array([[0.6, 9.0], [0.0, 9.0], [1.2, 9.0]])
     axis, square = Coordinate("z", "m", 0, 1.5), lambda c: np.square(c).sum(axis=1)
-    solved, found = _solve_coordinate(square, 1.0, command, 1, axis)
+    solved, found = _solve_coordinate(square, 1.0, command, 1, axis, 0.0)
+    assert found.tolist() == [True, True, False]
+    assert solved[:2] == pytest.approx(np.array([[0.6, 0.8], [0.0, 1.0]]))
+    # over a range that the circle crosses twice, beyond home
+    both = Coordinate("z", "m", -1.5, 1.5)
+    solved, found = _solve_coordinate(square, 1.0, command, 1, both, 0.0)
     assert found.tolist() == [True, True, False]
     assert solved[:2] == pytest.approx(np.array([[0.6, 0.8], [0.0, 1.0]]))
 

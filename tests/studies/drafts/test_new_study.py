@@ -305,6 +305,18 @@ def test_what_is_no_time_is_refused(text):
         read_time(text)
 
 
+@pytest.mark.parametrize("machine", ["five_bar", "rotary_delta", "hexapod"])
+def test_a_drafted_bar_fits_the_workspace_and_its_readings_the_unknowns(
+    machine, tmp_path, capsys
+):
+    """The bar of 300 mm is longer than these workspaces, whose cup is taught inside."""
+    path = write_draft("bar", machine, "ball_bar", Origin(tmp_path))
+    assert main(["check", str(path)]) == 0
+    assert "but it holds" not in capsys.readouterr().out
+    length = re.search(r"^length_mm = (\S+)", path.read_text(), re.MULTILINE)
+    assert 10.0 <= float(length[1]) <= 200.0
+
+
 def test_a_draft_has_the_readings_of_its_time(tmp_path):
     """Mounting and readings by the instrument's own times, counted here."""
     origin = Origin(tmp_path)
