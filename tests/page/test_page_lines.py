@@ -10,10 +10,11 @@ import types
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from page.page_server import rows
-from pkm_page import feed
+from pkm_page import feed, show
 from pkm_page.feed import Feed, LineBuffer, Offer
 from pkm_page.rows import clean_remark
 from pkm_studies.base import InputError
@@ -210,3 +211,13 @@ def wait(ready: Any, most: float = 10.0) -> None:
     while not ready():
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def test_a_session_beyond_its_plan_has_no_reading_left():
+    advice = types.SimpleNamespace(
+        is_reached=False, is_reached_by_geometry=False, limits=np.array([np.nan]),
+        more=None, planned=20, readings=22,
+    )  # fmt: skip
+    assert show.remaining(advice) == 0
+    advice.readings = 15
+    assert show.remaining(advice) == 5

@@ -252,3 +252,15 @@ def test_no_gap_closes_by_more_than_all_of_it(gap):
 def test_no_closure_is_reported_where_no_effect_is(gap):
     assert chapter._closure(gap)
     assert not chapter._closure(replace(gap, verdict="none"))
+
+
+def test_a_caption_names_the_part_of_no_known_form_only_where_it_is_drawn():
+    plain = Trace(
+        setup="bar", run="1", base="1", channel="length", unit="um", kind="points",
+        at=[0.0, 1.0], before=[1.0, -1.0], explained=[0.0, 0.0], unexplained=[0.0, 0.0],
+        after=[1.0, -1.0],
+    )  # fmt: skip
+    assert "pink" not in chapter._trace_caption([plain])
+    assert "pink" in chapter._trace_caption(
+        [plain, replace(plain, unexplained=[0.0, 2.0])]
+    )
