@@ -267,11 +267,13 @@ def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:
     return {n: ERROR.format(n, demand.unit) for n, demand in components.items()}
 
 
-#: what an error zeroed at home is
-ZEROED = (
-    "home: of the place, the error at home is subtracted; of the orientation R, the turn"
-    " from home R R_home^T is compared with the commanded one, in the base frame"
-)
+#: what an error is against a reference that has to be taken off
+RELATIVE = {
+    "home": "home: of the place, the error at home is subtracted; of the orientation R, the turn"
+    " from home R R_home^T is compared with the commanded one, in the base frame",
+    "best_fit": "best_fit: what is left after the one shift and turn that fits all measured"
+    " errors best; those in the instrument's own frame hold its set-up as well",
+}
 
 
 def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
@@ -282,8 +284,8 @@ def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
         {**section.components, **section.further}
     ).items():
         yield f"{column}: {about[name]}; reference: {section.reference}"
-    if section.reference == "home":
-        yield ZEROED
+    if section.reference in RELATIVE:
+        yield RELATIVE[section.reference]
     if section.further:
         yield f"{AXES}: 1 where additional axes took the known errors back, else 0 or empty"
 

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from shipped_models import planar_2dof
 
 from oed.result import (
     AlternativePlan,
@@ -71,3 +72,15 @@ def test_what_a_test_is_planned_with_is_refused_with_its_readings(
     assert code == 2
     assert f"{option} = z_um=30" in error
     assert "when the test is planned" in error
+
+
+@pytest.mark.parametrize(
+    ("reference", "meaning"),
+    [("best_fit", "one shift and turn"), ("home", "at home is subtracted")],
+)
+def test_the_form_says_what_an_error_is(reference, meaning):
+    section = SimpleNamespace(
+        poses=[{}], components={}, further={}, reference=reference
+    )
+    lines = list(verification._comments(section, planar_2dof.machine))
+    assert [line for line in lines if meaning in line]
