@@ -107,10 +107,9 @@ def explain(
 
 def _noise_words(problem: GapProblem, law: NoiseLaw) -> tuple[str, ...]:
     """The law in sentences; an assumed noise was replaced by that of the fit before."""
-    structure = problem.structure
-    is_assumed = structure.statement.is_assumed
+    is_assumed = problem.statement.is_assumed
     unit = "the noise of the fit" if is_assumed else "the stated noise"
-    return law.describe(structure.longest, unit)
+    return law.describe(problem.structure.longest, unit)
 
 
 def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:

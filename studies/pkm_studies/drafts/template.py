@@ -3,6 +3,8 @@
 import dataclasses
 import math
 import re
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,6 +60,13 @@ FITTING_SHARE = 0.6  #: the same of a bar whose length is to be chosen
 SETUP = "setup1"
 
 
+class Lead(NamedTuple):
+    """The coordinate by which an instrument leads the tool at most poses, if any."""
+
+    coordinate: str | None
+    share: float  #: of the grid's poses at which it does
+
+
 def draft_text(
     name: str,
     model: str,
@@ -72,17 +81,18 @@ def draft_text(
     share  of the workspace that its poses span
     table  numbers of the machine, where they are not the model's
     """
-    instrument = _fitting(machine, instrument, share)
+    instrument, lead = _fitting(machine, instrument, share)
+    grid = grid_lines(machine, instrument, share, lead.coordinate)
     blocks = [
         _head(name, machine, instrument),
         _machine(model, machine, table),
         _setup(reference, machine, instrument),
         _noise(instrument),
         _prior(machine),
-        _design(machine, instrument, share),
+        _design(machine, instrument, grid, lead),
         _readings(machine),
         prediction_table(machine, share=share),
-        _plan(machine, instrument, share),
+        _plan(instrument, grid),
         GAP,
         _claims(),
     ]
@@ -191,12 +201,12 @@ def _prior(machine: Machine) -> str:
 """
 
 
-def _design(machine: Machine, instrument: Instrument, share: float) -> str:
-    grid = grid_lines(machine, instrument, share)
+def _design(
+    machine: Machine, instrument: Instrument, grid: Sequence[str], lead: Lead
+) -> str:
     candidates = grid_size("\n".join(grid))
-    hold, led_share = _led_coordinate(machine, instrument, share)
-    if hold is not None:
-        candidates = int(led_share * candidates)
+    if lead.coordinate is not None:
+        candidates = int(lead.share * candidates)
     fixed = sum(p.name in machine.frame for p in machine.parameters)
     unknowns = len(machine.parameters) - fixed + len(instrument.nuisances)
     wanted = READINGS_PER_UNKNOWN * unknowns / len(instrument.channels)
@@ -224,7 +234,7 @@ draw = true  # the virtual machine's errors come from the tolerances
 """
 
 
-def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
+def _plan(instrument: Instrument, grid: Sequence[str]) -> str:
     """A plan with one measurement.
 
     Only a pointer where a setting is open: its readings say nothing.
@@ -235,7 +245,7 @@ def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
     )
     if any(s.default is None for s in instrument.settings):
         return about
-    grid = "\n".join(f"# {line}" for line in grid_lines(machine, instrument, share))
+    lines = "\n".join(f"# {line}" for line in grid)
     return f"""\
 {about}# [plan]
 # budget_min = 120.0
@@ -244,7 +254,7 @@ def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
 # name = "first"
 # setup = "{SETUP}"
 # counts = [6, 12, 24]
-{grid}
+{lines}
 """
 
 
@@ -256,8 +266,9 @@ def _claims() -> str:
 """
 
 
-def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[str]:
-    hold, _ = _led_coordinate(machine, instrument, share)
+def grid_lines(
+    machine: Machine, instrument: Instrument, share: float, hold: str | None
+) -> list[str]:
     fixed = [
         c.name for c in machine.command if instrument.fixed_point and c.name in "xyz"
     ]
@@ -280,36 +291,34 @@ def grid_size(lines: str) -> int:
     return math.prod(int(n) for n in re.findall(r"count = (\d+)", lines))
 
 
-def _fitting(machine: Machine, instrument: Instrument, share: float) -> Instrument:
+def _fitting(
+    machine: Machine, instrument: Instrument, share: float
+) -> tuple[Instrument, Lead]:
     """The instrument with the longest bar that the workspace holds, where it has one.
 
-    Where none reaches most poses, the one that reaches the most.
+    Where none reaches most poses, the one that reaches the most; as it is where that
+    leads the tool nowhere.
     """
+    if instrument.fixed_reading is None:
+        return instrument, Lead(None, 0.0)
     lengths = [s for s in instrument.settings if s.name == "length" and s.default]
-    if instrument.fixed_reading is None or not lengths:
-        return instrument
+    if not lengths:
+        return instrument, _lead(machine, instrument, share)
     (length,) = lengths
-    led = {}
+    tried = []
     for part in LENGTH_SHARES:
         shorter = dataclasses.replace(length, default=part * (length.default or 0.0))
         settings = tuple(shorter if s is length else s for s in instrument.settings)
         fitted = dataclasses.replace(instrument, settings=settings)
-        led[part] = _led_coordinate(machine, fitted, share)[1], fitted
-        if led[part][0] >= FITTING_SHARE:
-            return fitted
-    most, fitted = max(led.values(), key=lambda shares: shares[0])
-    return fitted if most >= LED_SHARE else instrument
+        tried.append((fitted, _lead(machine, fitted, share)))
+        if tried[-1][1].share >= FITTING_SHARE:
+            return tried[-1]
+    best = max(tried, key=lambda one: one[1].share)
+    return best if best[1].coordinate is not None else (instrument, tried[0][1])
 
 
-def _led_coordinate(
-    machine: Machine, instrument: Instrument, share: float
-) -> tuple[str | None, float]:
-    """The coordinate by which the instrument leads the tool at most poses, if any.
-
-    The second result is the share of the poses at which it does.
-    """
-    if instrument.fixed_reading is None:
-        return None, 0.0
+def _lead(machine: Machine, instrument: Instrument, share: float) -> Lead:
+    """How an instrument that keeps its reading leads the tool."""
     axes = []
     for c in machine.command:
         whole_turn = (0.0, 2.0 * math.pi)
@@ -325,7 +334,7 @@ def _led_coordinate(
         for c in machine.command
     }
     best = max(shares, key=lambda name: shares[name])
-    return best if shares[best] >= LED_SHARE else None, shares[best]
+    return Lead(best if shares[best] >= LED_SHARE else None, shares[best])
 
 
 def _led_share(

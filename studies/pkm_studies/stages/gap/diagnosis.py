@@ -91,18 +91,18 @@ def exact_readings(
         for entry, factor in zip(request.acting, factors, strict=True)
     ]
     y = gap.exact_readings(measurement, series, truth, states, acting)
+    channels = [
+        channel
+        for s in series
+        for _ in range(len(s))
+        for channel in planned.layouts[s.setup].channels
+    ]
+    channel_names = np.array([c.name for c in channels])
+    fine = {c.name: units.FINE[c.unit] for c in channels}
     entries = []
     for k, entry in enumerate(request.acting):
         others = acting[:k] + acting[k + 1 :]
         without = gap.exact_readings(measurement, series, truth, states, others)
-        channels = [
-            channel
-            for s in planned.series
-            for _ in range(len(s))
-            for channel in planned.layouts[s.setup].channels
-        ]
-        channel_names = np.array([c.name for c in channels])
-        fine = {c.name: units.FINE[c.unit] for c in channels}
         rms = {
             f"{name}_{fine[name]}": float(units.from_si(size, fine[name]))
             for name, size in rms_by_channel(y - without, channel_names).items()
